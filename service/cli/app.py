@@ -24,6 +24,7 @@ from service.cli.robots import robots_command
 from service.cli.scene import detect_command, scene_command
 from service.cli.server.console import console_command
 from service.cli.server.health import health_command
+from service.cli.server.lists import plans_command, scenes_command
 from service.cli.server.serve import serve_command
 from service.cli.server.token import token_command
 from service.cli.simulate import simulate_command
@@ -75,6 +76,8 @@ app.command("scene")(scene_command)
 app.command("detect")(detect_command)
 app.command("request", epilog=REMOTE_EXIT_CODES)(request_command)
 app.command("review")(review_command)
+app.command("plans")(plans_command)
+app.command("scenes")(scenes_command)
 app.command("top")(top_command)
 app.command("serve")(serve_command)
 app.command("console")(console_command)

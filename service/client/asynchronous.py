@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -24,9 +26,11 @@ from service.client.messages import (
     find_cloud_files,
     make_clouds_message,
     make_detect_message,
+    make_list_message,
     make_plan_message,
     make_pose_messages,
     make_review_message,
+    make_scene_list_message,
     make_scene_message,
     make_simulation_message,
     make_verify_message,
@@ -45,11 +49,15 @@ from service.proto.planner.v1.planner_pb2 import (
     GetSceneResponse,
     GetStatusRequest,
     GetStatusResponse,
+    ListPlansRequest,
     ListRobotsRequest,
+    ListScenesRequest,
     PlanRecord,
     PlanResponse,
+    PlanSummary,
     Review,
     RobotInfo,
+    SceneSummary,
     SimulatePlanResponse,
     VerifyResponse,
 )
@@ -58,6 +66,7 @@ from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.schema import PlanRequest
 
 SLOWEST_UPLOAD = 1e6  # [bytes/s]
+PAGE_SIZE = 100  # of lists
 
 
 class AsyncPlannerClient:
@@ -315,6 +324,55 @@ class AsyncPlannerClient:
                 async for part in parts:
                     reader.take(part)
             return reader.finish()
+
+    async def list_plans(
+        self,
+        *,
+        state: str = "",
+        since: datetime | None = None,
+        task: str = "",
+        needs_review: bool = False,
+        limit: int | None = None,
+    ) -> AsyncGenerator[PlanSummary, None]:
+        """Yield stored plans, newest first: the client's own, or those of all for the roles review and admin.
+
+        Args:
+            state: ``queued``, ``running``, ``finished`` or ``lost``; empty for any.
+            since: when their requests were accepted, at the earliest; UTC unless it says otherwise.
+            task: kind of task; empty for any.
+            needs_review: only those that wait for a decision.
+            limit: greatest number of plans; None for all.
+        """
+        message = make_list_message(state, since, task, needs_review)
+        async for plan in self._pages("ListPlans", message, "plans", limit):
+            yield plan
+
+    async def list_scenes(
+        self, *, since: datetime | None = None, limit: int | None = None
+    ) -> AsyncGenerator[SceneSummary, None]:
+        """Yield stored scenes, newest first: the client's own, or those of all for the roles review and admin.
+
+        Args:
+            since: when they were built, at the earliest; UTC unless it says otherwise.
+            limit: greatest number of scenes; None for all.
+        """
+        async for scene in self._pages("ListScenes", make_scene_list_message(since), "scenes", limit):
+            yield scene
+
+    async def _pages(
+        self, method: str, message: ListPlansRequest | ListScenesRequest, field: str, limit: int | None
+    ) -> AsyncGenerator[Any, None]:
+        """Yield the entries of all pages, ``limit`` at most."""
+        n_left = math.inf if limit is None else limit
+        while n_left > 0:
+            message.page_size = int(min(n_left, PAGE_SIZE))
+            page = await self._call(method, message, self._timeout_s)
+            for entry in getattr(page, field):
+                yield entry
+            n_left -= len(getattr(page, field))
+            message.page_token = page.next_page_token
+            if not page.next_page_token:
+                return
 
     async def review(
         self, seen: PlanRecord, *, accept: bool, comment: str = "", despite: str = "", valid_days: float | None = None

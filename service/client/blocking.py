@@ -127,6 +127,8 @@ class PlannerClient:
     simulate = _block(AsyncPlannerClient.simulate)
     robots = _block(AsyncPlannerClient.robots)
     get_plan = _block(AsyncPlannerClient.get_plan)
+    list_plans = _iterate(AsyncPlannerClient.list_plans)
+    list_scenes = _iterate(AsyncPlannerClient.list_scenes)
     review = _block(AsyncPlannerClient.review)
     revoke = _block(AsyncPlannerClient.revoke)
     pose_session = _iterate(AsyncPlannerClient.pose_session)

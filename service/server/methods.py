@@ -15,6 +15,7 @@ from google.protobuf.message_factory import GetMessageClass
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1 import pose_pb2
 from service.server.cloud_handlers import CloudHandlers
+from service.server.operation.lists import ListHandlers
 from service.server.plan_handler import PlanHandler
 from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
@@ -39,6 +40,7 @@ class Servicer:
     clouds: CloudHandlers
     queries: QueryHandlers
     poses: PoseHandler
+    lists: ListHandlers
 
     def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse | bytes]:
         return self.plan.plan(message, context)
@@ -68,6 +70,12 @@ class Servicer:
 
     def GetPlan(self, message: wire.GetPlanRequest, context: Context) -> AsyncIterator[wire.GetPlanResponse]:
         return self.queries.get_plan(message, context)
+
+    async def ListPlans(self, message: wire.ListPlansRequest, context: Context) -> wire.ListPlansResponse:
+        return await self.lists.list_plans(message, context)
+
+    async def ListScenes(self, message: wire.ListScenesRequest, context: Context) -> wire.ListScenesResponse:
+        return await self.lists.list_scenes(message, context)
 
     async def ReviewPlan(self, message: wire.ReviewPlanRequest, context: Context) -> wire.ReviewPlanResponse:
         return await self.queries.review_plan(message, context)

@@ -26,6 +26,7 @@ from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner
 from service.server.lifecycle import Health, OpenCalls
 from service.server.methods import SERVICE, Servicer, make_handlers
+from service.server.operation.lists import ListHandlers
 from service.server.plan_handler import PlanHandler
 from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
@@ -188,7 +189,12 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
         ]
         servicer = Servicer(
-            plans, uploads, CloudHandlers(reader, jobs, store, disk), queries, PoseHandler(reader, jobs)
+            plans,
+            uploads,
+            CloudHandlers(reader, jobs, store, disk),
+            queries,
+            PoseHandler(reader, jobs),
+            ListHandlers(store, plans.running),
         )
         server = grpc.aio.server(interceptors=interceptors, options=_options(settings))
         _add_services(server, servicer, health)

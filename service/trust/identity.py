@@ -72,6 +72,8 @@ ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         f"{_PLANNER}/SimulatePlan": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ListRobots": (Role.PLAN,),
         f"{_PLANNER}/GetPlan": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/ListPlans": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/ListScenes": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ReviewPlan": (Role.REVIEW,),
         f"{_PLANNER}/PoseSession": (Role.PLAN,),
         f"{_PLANNER}/GetStatus": (Role.ADMIN,),

@@ -107,7 +107,7 @@ def test_every_method_of_the_planner_has_its_role() -> None:
     assert (needs["ReviewPlan"], needs["GetStatus"]) == ((Role.REVIEW,), (Role.ADMIN,))
     # Who reviews a plan can look at it, and have it checked anew and simulated.
     assert {name for name, roles in needs.items() if Role.REVIEW in roles} == {
-        "ReviewPlan", "GetPlan", "GetScene", "SimulatePlan", "Verify",
+        "ReviewPlan", "GetPlan", "GetScene", "ListPlans", "ListScenes", "SimulatePlan", "Verify",
     }  # fmt: skip
     assert not OPEN_TO_ALL & set(ROLE_NEEDED)
 

@@ -28,6 +28,8 @@ METHODS = {
     "SimulatePlan": 1,
     "GetPlan": 1,
     "GetScene": 1,
+    "ListPlans": 1,
+    "ListScenes": 1,
     "ReviewPlan": 1,
     "ListRobots": 1,
     "GetStatus": 1,
@@ -97,6 +99,8 @@ def _seeds() -> dict[str, list[bytes]]:
         "SimulatePlan": [wire.SimulatePlanRequest(plan_id="a" * 32, friction=0.5)],
         "GetPlan": [wire.GetPlanRequest(plan_id="a" * 32, with_files=True)],
         "GetScene": [wire.GetSceneRequest(scene_id="scene:" + "0" * 64)],
+        "ListPlans": [wire.ListPlansRequest(state=wire.PLAN_STATE_FINISHED, since={"seconds": 1}, task="valve")],  # type: ignore[arg-type]
+        "ListScenes": [wire.ListScenesRequest(page_size=3, page_token="7")],
         "ReviewPlan": [wire.ReviewPlanRequest(plan_id="a" * 32, decision=wire.DECISION_ACCEPTED, comment="fine")],
         "ListRobots": [wire.ListRobotsRequest()],
         "GetStatus": [wire.GetStatusRequest()],

@@ -85,6 +85,16 @@ class PlannerServiceStub(object):
                 request_serializer=planner_dot_v1_dot_planner__pb2.GetPlanRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.GetPlanResponse.FromString,
                 _registered_method=True)
+        self.ListPlans = channel.unary_unary(
+                '/planner.v1.PlannerService/ListPlans',
+                request_serializer=planner_dot_v1_dot_planner__pb2.ListPlansRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.ListPlansResponse.FromString,
+                _registered_method=True)
+        self.ListScenes = channel.unary_unary(
+                '/planner.v1.PlannerService/ListScenes',
+                request_serializer=planner_dot_v1_dot_planner__pb2.ListScenesRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.ListScenesResponse.FromString,
+                _registered_method=True)
         self.ReviewPlan = channel.unary_unary(
                 '/planner.v1.PlannerService/ReviewPlan',
                 request_serializer=planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.SerializeToString,
@@ -173,6 +183,20 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ListPlans(self, request, context):
+        """Stored plans, newest first: the caller's own, or those of all clients for the roles review and admin.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListScenes(self, request, context):
+        """Stored scenes, newest first: the caller's own, or those of all clients for the roles review and admin.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def ReviewPlan(self, request, context):
         """Accept or reject a plan. Nothing counts as approved without it.
         """
@@ -241,6 +265,16 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     servicer.GetPlan,
                     request_deserializer=planner_dot_v1_dot_planner__pb2.GetPlanRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.GetPlanResponse.SerializeToString,
+            ),
+            'ListPlans': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListPlans,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.ListPlansRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.ListPlansResponse.SerializeToString,
+            ),
+            'ListScenes': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListScenes,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.ListScenesRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.ListScenesResponse.SerializeToString,
             ),
             'ReviewPlan': grpc.unary_unary_rpc_method_handler(
                     servicer.ReviewPlan,
@@ -506,6 +540,60 @@ class PlannerService(object):
             '/planner.v1.PlannerService/GetPlan',
             planner_dot_v1_dot_planner__pb2.GetPlanRequest.SerializeToString,
             planner_dot_v1_dot_planner__pb2.GetPlanResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListPlans(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/ListPlans',
+            planner_dot_v1_dot_planner__pb2.ListPlansRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.ListPlansResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListScenes(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/ListScenes',
+            planner_dot_v1_dot_planner__pb2.ListScenesRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.ListScenesResponse.FromString,
             options,
             channel_credentials,
             insecure,
