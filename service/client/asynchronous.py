@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self
 import grpc
 from google.protobuf.message import Message
 
-from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
+from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader, WatchReader
 from service.client.connection import Connection
 from service.client.error_texts import LastStep, UploadNames, explain_unreachable, name_uploaded_file
 from service.client.errors import PlannerError, read_error
@@ -25,6 +25,7 @@ from service.client.messages import (
     check_size,
     find_cloud_files,
     make_clouds_message,
+    make_command_message,
     make_detect_message,
     make_list_message,
     make_plan_message,
@@ -39,6 +40,15 @@ from service.client.received import receive_files
 from service.client.retry import Attempts, Retry, check_seconds
 from service.client.transport import AsyncTransport, Transport
 from service.errors import RequestError
+from service.proto.planner.v1.execution_pb2 import (
+    CommandRequest,
+    CommandResponse,
+    ExecuteRequest,
+    ExecuteResponse,
+    Order,
+    WatchRequest,
+    WatchResponse,
+)
 from service.proto.planner.v1.planner_pb2 import (
     BuiltScene,
     CloudsSpec,
@@ -421,6 +431,84 @@ class AsyncPlannerClient:
                     yield answer
         except grpc.RpcError as error:
             self._use_attempt(attempts, read_error(error))
+
+    async def take_control(self, station: str = "", *, takes_over: bool = False) -> CommandResponse:
+        """Take control of the server's robot; returns the lease that orders name, and the revision.
+
+        Args:
+            station: what others are told beside the client's name, such as ``console``.
+            takes_over: whether to take it from whoever has it.
+        """
+        order = Order.ORDER_TAKE_OVER if takes_over else Order.ORDER_TAKE_CONTROL
+        message = CommandRequest(order=order, station=station)
+        response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
+        return response
+
+    async def command(self, order: str, *, lease: str = "", revision: int = 0, speed: float = 0.0) -> CommandResponse:
+        """Give the server's robot an order.
+
+        Args:
+            order: ``start``, ``pause``, ``resume``, ``stop``, ``abort``, ``speed`` or ``release_control``.
+            lease: from ``take_control``; to stop it needs none.
+            revision: of the state that the operator has seen.
+            speed: with ``speed``, share of real time.
+        """
+        message = make_command_message(order, lease, revision, speed)
+        response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
+        return response
+
+    async def execute(
+        self,
+        plan_id: str,
+        trajectory_sha256: str,
+        *,
+        lease: str,
+        revision: int,
+        approval: bytes = b"",
+        start_tolerance: float | None = None,
+        waits_for_start: bool = False,
+        is_placed: bool = False,
+        accepted_scan_age_s: float | None = None,
+    ) -> ExecuteResponse:
+        """Have the server's robot carry out exactly the trajectory that was looked at; the plan is verified before.
+
+        Args:
+            plan_id: of a certified plan with files.
+            trajectory_sha256: of the trajectory that was looked at.
+            lease: from ``take_control``.
+            revision: of the state that the operator has seen.
+            approval: signed statement of the acceptance that the operator relies on.
+            start_tolerance: how far each joint may be from the plan's start [rad, m]; None for the server's.
+            waits_for_start: whether the plan's clock waits for the order ``start``.
+            is_placed: whether a simulated robot is put at the plan's start first.
+            accepted_scan_age_s: age up to which the plan's scan was found to be right still [s].
+        """
+        message = ExecuteRequest(
+            plan_id=plan_id,
+            trajectory_sha256=trajectory_sha256,
+            approval=approval,
+            start_tolerance=start_tolerance,
+            lease=lease,
+            expected_revision=revision,
+            waits_for_start=waits_for_start,
+            is_placed=is_placed,
+            accepted_scan_age_s=accepted_scan_age_s,
+        )
+        response: ExecuteResponse = await self._call("Execute", message, None, is_repeatable=False)
+        return response
+
+    async def watch(self, *, lease: str = "", rate_hz: float | None = None) -> AsyncGenerator[WatchResponse, None]:
+        """Yield the whole state of the server's robot, and again after every change.
+
+        Args:
+            lease: of the operator whose presence this shows; the robot may hold when the iterator is closed.
+            rate_hz: greatest number of poses a second; None for the server's 10.
+        """
+        reader = WatchReader()
+        message = WatchRequest(lease=lease, rate_hz=rate_hz)
+        async with aclosing(self._stream("Watch", message, Attempts(self._retry, None))) as changes:
+            async for change in changes:
+                yield reader.take(change)
 
     async def status(self) -> GetStatusResponse:
         """Return the server's workers, queue, verdict counts and latencies."""

@@ -132,4 +132,8 @@ class PlannerClient:
     review = _block(AsyncPlannerClient.review)
     revoke = _block(AsyncPlannerClient.revoke)
     pose_session = _iterate(AsyncPlannerClient.pose_session)
+    take_control = _block(AsyncPlannerClient.take_control)
+    command = _block(AsyncPlannerClient.command)
+    execute = _block(AsyncPlannerClient.execute)
+    watch = _iterate(AsyncPlannerClient.watch)
     status = _block(AsyncPlannerClient.status)

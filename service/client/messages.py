@@ -14,6 +14,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from service.client.connection import MAX_SENT_BYTES
 from service.client.known_objects import find_files, replace_by_id
 from service.errors import RequestError, shown, would_do
+from service.proto.planner.v1.execution_pb2 import CommandRequest, Order
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     CloudsSpec,
@@ -231,6 +232,20 @@ def _stamp(time: datetime | None) -> Timestamp | None:
     stamp = Timestamp()
     stamp.FromDatetime(time)
     return stamp
+
+
+def make_command_message(order: str, lease: str, revision: int, speed: float) -> CommandRequest:
+    """Return the message of an order by its name, such as ``pause``.
+
+    Raises:
+        RequestError: there is no such order, or a speed belongs to ``speed`` only.
+    """
+    names = [name.removeprefix("ORDER_").lower() for name in list(Order.keys())[1:]]
+    if order not in names:
+        raise RequestError(f"order: unknown order {shown(order)}; expected {would_do(order, names)}")
+    if speed and order != "speed":
+        raise RequestError(f"speed: is of the order speed, and this is {order}")
+    return CommandRequest(order=f"ORDER_{order.upper()}", lease=lease, expected_revision=revision, speed=speed)
 
 
 def make_review_message(

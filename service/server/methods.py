@@ -12,12 +12,14 @@ import grpc
 from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
+from service.proto.planner.v1 import execution_pb2 as execution
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1 import pose_pb2
 from service.server.cloud_handlers import CloudHandlers
+from service.server.operation.executions import ExecutionHandlers
 from service.server.operation.lists import ListHandlers
+from service.server.operation.pose_handler import PoseHandler
 from service.server.plan_handler import PlanHandler
-from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.requests import set_warnings
@@ -41,6 +43,7 @@ class Servicer:
     queries: QueryHandlers
     poses: PoseHandler
     lists: ListHandlers
+    executions: ExecutionHandlers
 
     def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse | bytes]:
         return self.plan.plan(message, context)
@@ -84,6 +87,15 @@ class Servicer:
         self, messages: AsyncIterator[pose_pb2.PoseSessionRequest], context: Context
     ) -> AsyncIterator[pose_pb2.PoseSessionResponse]:
         return self.poses.lead(messages, context)
+
+    async def Execute(self, message: execution.ExecuteRequest, context: Context) -> execution.ExecuteResponse:
+        return await self.executions.execute(message, context)
+
+    async def Command(self, message: execution.CommandRequest, context: Context) -> execution.CommandResponse:
+        return await self.executions.command(message, context)
+
+    def Watch(self, message: execution.WatchRequest, context: Context) -> AsyncIterator[execution.WatchResponse]:
+        return self.executions.watch(message, context)
 
     async def GetStatus(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
         return await self.queries.get_status(message, context)

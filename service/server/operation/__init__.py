@@ -1,1 +1,1 @@
-"""Handlers of what operators do with stored plans: find them, and carry them out."""
+"""Handlers of what operators do: lead poses, find stored plans, and carry them out."""

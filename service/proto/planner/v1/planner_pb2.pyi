@@ -2,6 +2,7 @@ import datetime
 
 from google.protobuf import struct_pb2 as _struct_pb2
 from google.protobuf import timestamp_pb2 as _timestamp_pb2
+from service.proto.planner.v1 import execution_pb2 as _execution_pb2
 from service.proto.planner.v1 import pose_pb2 as _pose_pb2
 from service.proto.planner.v1 import request_pb2 as _request_pb2
 from service.proto.planner.v1 import result_pb2 as _result_pb2
