@@ -9,7 +9,7 @@ mkdir -p "$folder"
 openssl req -x509 -newkey rsa:2048 -nodes -days 30 -subj "/CN=$name" -addext "subjectAltName=DNS:$name" \
     -keyout "$folder/server.key" -out "$folder/server.pem" 2>/dev/null
 : >"$folder/tokens.yaml"
-for role in plan review admin; do
+for role in plan review execute command admin; do
     scopt token "trial-$role" --role "$role" 2>>"$folder/tokens.yaml" >"$folder/$role.token"
 done
-echo "$folder: server.pem (also the authority for clients), server.key, tokens.yaml, plan.token, review.token, admin.token"
+echo "$folder: server.pem (also the authority for clients), server.key, tokens.yaml, plan.token and so on, one per role"

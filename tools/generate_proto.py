@@ -16,7 +16,7 @@ from grpc_tools import protoc
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "service" / "proto"
 PACKAGE = Path("planner", "v1")
-MESSAGES = ("request", "result", "pose", "planner")
+MESSAGES = ("request", "result", "execution", "pose", "planner")
 
 
 def generate(target: Path) -> list[Path]:

@@ -17,6 +17,9 @@ from service.cli.certify import certify_command
 from service.cli.export import export_command, state_command
 from service.cli.motions.move import move_app
 from service.cli.motions.task import task_app
+from service.cli.operation.execute import execute_command
+from service.cli.operation.orders import command_command
+from service.cli.operation.watch import watch_command
 from service.cli.plan import plan_command, verify_command, view_command
 from service.cli.request import request_command
 from service.cli.review import review_command
@@ -24,6 +27,7 @@ from service.cli.robots import robots_command
 from service.cli.scene import detect_command, scene_command
 from service.cli.server.console import console_command
 from service.cli.server.health import health_command
+from service.cli.server.lists import plans_command, scenes_command
 from service.cli.server.serve import serve_command
 from service.cli.server.token import token_command
 from service.cli.simulate import simulate_command
@@ -38,6 +42,10 @@ EXIT_CODE_HELP = (
 TRACK_EXIT_CODES = (
     "Exit codes: 0 TRACKED or DONE, 1 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 8 ABORTED, 70 internal error, "
     "130 CANCELLED."
+)
+EXECUTION_EXIT_CODES = (
+    "Exit codes: 0 DONE, 2 usage, 3 INVALID_REQUEST (refused), 7 FELL, 8 ABORTED, 69 UNAVAILABLE, 70 internal error, "
+    "77 NOT_ALLOWED, 130 CANCELLED."
 )
 VERIFY_EXIT_CODES = (
     "Exit codes: 0 CERTIFIED (holds today), 2 usage, 3 INVALID_REQUEST, 4 no certificate, 5 TIME_LIMIT, 9 HELD_BEFORE "
@@ -75,6 +83,11 @@ app.command("scene")(scene_command)
 app.command("detect")(detect_command)
 app.command("request", epilog=REMOTE_EXIT_CODES)(request_command)
 app.command("review")(review_command)
+app.command("execute", epilog=EXECUTION_EXIT_CODES)(execute_command)
+app.command("command")(command_command)
+app.command("watch")(watch_command)
+app.command("plans")(plans_command)
+app.command("scenes")(scenes_command)
 app.command("top")(top_command)
 app.command("serve")(serve_command)
 app.command("console")(console_command)

@@ -12,6 +12,7 @@ import grpc
 
 from service.client.errors import PlannerError
 from service.client.received import ReceivedFiles
+from service.proto.planner.v1.execution_pb2 import WatchResponse
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneResponse,
     BuiltScene,
@@ -130,6 +131,27 @@ class PlanReader(_FolderReader):
         return FinishedPlan(
             self._finished.plan_id, accepted.request_id, self._finished.result, accepted.is_known, folder
         )
+
+
+class WatchReader:
+    """Reader of ``Watch``: the whole state of the robot after each change."""
+
+    def __init__(self) -> None:
+        self._state = WatchResponse()
+
+    def take(self, change: WatchResponse) -> WatchResponse:
+        """Return the state after a change; a snapshot replaces everything."""
+        state = WatchResponse()
+        if not change.is_snapshot:
+            state.CopyFrom(self._state)
+        for field, value in change.ListFields():
+            if field.message_type is None:
+                setattr(state, field.name, value)
+            else:
+                getattr(state, field.name).CopyFrom(value)
+        state.is_snapshot = True
+        self._state = state
+        return state
 
 
 class StoredReader(_FolderReader):

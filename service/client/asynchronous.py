@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from contextlib import aclosing
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -11,7 +13,7 @@ from typing import Any, ClassVar, Self
 import grpc
 from google.protobuf.message import Message
 
-from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader
+from service.client.answers import FinishedPlan, PlanReader, SceneReader, StoredPlan, StoredReader, WatchReader
 from service.client.connection import Connection
 from service.client.error_texts import LastStep, UploadNames, explain_unreachable, name_uploaded_file
 from service.client.errors import PlannerError, read_error
@@ -23,10 +25,13 @@ from service.client.messages import (
     check_size,
     find_cloud_files,
     make_clouds_message,
+    make_command_message,
     make_detect_message,
+    make_list_message,
     make_plan_message,
     make_pose_messages,
     make_review_message,
+    make_scene_list_message,
     make_scene_message,
     make_simulation_message,
     make_verify_message,
@@ -35,6 +40,15 @@ from service.client.received import receive_files
 from service.client.retry import Attempts, Retry, check_seconds
 from service.client.transport import AsyncTransport, Transport
 from service.errors import RequestError
+from service.proto.planner.v1.execution_pb2 import (
+    CommandRequest,
+    CommandResponse,
+    ExecuteRequest,
+    ExecuteResponse,
+    Order,
+    WatchRequest,
+    WatchResponse,
+)
 from service.proto.planner.v1.planner_pb2 import (
     BuiltScene,
     CloudsSpec,
@@ -45,11 +59,15 @@ from service.proto.planner.v1.planner_pb2 import (
     GetSceneResponse,
     GetStatusRequest,
     GetStatusResponse,
+    ListPlansRequest,
     ListRobotsRequest,
+    ListScenesRequest,
     PlanRecord,
     PlanResponse,
+    PlanSummary,
     Review,
     RobotInfo,
+    SceneSummary,
     SimulatePlanResponse,
     VerifyResponse,
 )
@@ -58,6 +76,7 @@ from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.schema import PlanRequest
 
 SLOWEST_UPLOAD = 1e6  # [bytes/s]
+PAGE_SIZE = 100  # of lists
 
 
 class AsyncPlannerClient:
@@ -316,6 +335,55 @@ class AsyncPlannerClient:
                     reader.take(part)
             return reader.finish()
 
+    async def list_plans(
+        self,
+        *,
+        state: str = "",
+        since: datetime | None = None,
+        task: str = "",
+        needs_review: bool = False,
+        limit: int | None = None,
+    ) -> AsyncGenerator[PlanSummary, None]:
+        """Yield stored plans, newest first: the client's own, or those of all for the roles review and admin.
+
+        Args:
+            state: ``queued``, ``running``, ``finished`` or ``lost``; empty for any.
+            since: when their requests were accepted, at the earliest; UTC unless it says otherwise.
+            task: kind of task; empty for any.
+            needs_review: only those that wait for a decision.
+            limit: greatest number of plans; None for all.
+        """
+        message = make_list_message(state, since, task, needs_review)
+        async for plan in self._pages("ListPlans", message, "plans", limit):
+            yield plan
+
+    async def list_scenes(
+        self, *, since: datetime | None = None, limit: int | None = None
+    ) -> AsyncGenerator[SceneSummary, None]:
+        """Yield stored scenes, newest first: the client's own, or those of all for the roles review and admin.
+
+        Args:
+            since: when they were built, at the earliest; UTC unless it says otherwise.
+            limit: greatest number of scenes; None for all.
+        """
+        async for scene in self._pages("ListScenes", make_scene_list_message(since), "scenes", limit):
+            yield scene
+
+    async def _pages(
+        self, method: str, message: ListPlansRequest | ListScenesRequest, field: str, limit: int | None
+    ) -> AsyncGenerator[Any, None]:
+        """Yield the entries of all pages, ``limit`` at most."""
+        n_left = math.inf if limit is None else limit
+        while n_left > 0:
+            message.page_size = int(min(n_left, PAGE_SIZE))
+            page = await self._call(method, message, self._timeout_s)
+            for entry in getattr(page, field):
+                yield entry
+            n_left -= len(getattr(page, field))
+            message.page_token = page.next_page_token
+            if not page.next_page_token:
+                return
+
     async def review(
         self, seen: PlanRecord, *, accept: bool, comment: str = "", despite: str = "", valid_days: float | None = None
     ) -> Review:
@@ -363,6 +431,84 @@ class AsyncPlannerClient:
                     yield answer
         except grpc.RpcError as error:
             self._use_attempt(attempts, read_error(error))
+
+    async def take_control(self, station: str = "", *, takes_over: bool = False) -> CommandResponse:
+        """Take control of the server's robot; returns the lease that orders name, and the revision.
+
+        Args:
+            station: what others are told beside the client's name, such as ``console``.
+            takes_over: whether to take it from whoever has it.
+        """
+        order = Order.ORDER_TAKE_OVER if takes_over else Order.ORDER_TAKE_CONTROL
+        message = CommandRequest(order=order, station=station)
+        response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
+        return response
+
+    async def command(self, order: str, *, lease: str = "", revision: int = 0, speed: float = 0.0) -> CommandResponse:
+        """Give the server's robot an order.
+
+        Args:
+            order: ``start``, ``pause``, ``resume``, ``stop``, ``abort``, ``speed`` or ``release_control``.
+            lease: from ``take_control``; to stop it needs none.
+            revision: of the state that the operator has seen.
+            speed: with ``speed``, share of real time.
+        """
+        message = make_command_message(order, lease, revision, speed)
+        response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
+        return response
+
+    async def execute(
+        self,
+        plan_id: str,
+        trajectory_sha256: str,
+        *,
+        lease: str,
+        revision: int,
+        approval: bytes = b"",
+        start_tolerance: float | None = None,
+        waits_for_start: bool = False,
+        is_placed: bool = False,
+        accepted_scan_age_s: float | None = None,
+    ) -> ExecuteResponse:
+        """Have the server's robot carry out exactly the trajectory that was looked at; the plan is verified before.
+
+        Args:
+            plan_id: of a certified plan with files.
+            trajectory_sha256: of the trajectory that was looked at.
+            lease: from ``take_control``.
+            revision: of the state that the operator has seen.
+            approval: signed statement of the acceptance that the operator relies on.
+            start_tolerance: how far each joint may be from the plan's start [rad, m]; None for the server's.
+            waits_for_start: whether the plan's clock waits for the order ``start``.
+            is_placed: whether a simulated robot is put at the plan's start first.
+            accepted_scan_age_s: age up to which the plan's scan was found to be right still [s].
+        """
+        message = ExecuteRequest(
+            plan_id=plan_id,
+            trajectory_sha256=trajectory_sha256,
+            approval=approval,
+            start_tolerance=start_tolerance,
+            lease=lease,
+            expected_revision=revision,
+            waits_for_start=waits_for_start,
+            is_placed=is_placed,
+            accepted_scan_age_s=accepted_scan_age_s,
+        )
+        response: ExecuteResponse = await self._call("Execute", message, None, is_repeatable=False)
+        return response
+
+    async def watch(self, *, lease: str = "", rate_hz: float | None = None) -> AsyncGenerator[WatchResponse, None]:
+        """Yield the whole state of the server's robot, and again after every change.
+
+        Args:
+            lease: of the operator whose presence this shows; the robot may hold when the iterator is closed.
+            rate_hz: greatest number of poses a second; None for the server's 10.
+        """
+        reader = WatchReader()
+        message = WatchRequest(lease=lease, rate_hz=rate_hz)
+        async with aclosing(self._stream("Watch", message, Attempts(self._retry, None))) as changes:
+            async for change in changes:
+                yield reader.take(change)
 
     async def status(self) -> GetStatusResponse:
         """Return the server's workers, queue, verdict counts and latencies."""

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import AsyncIterable, AsyncIterator, Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 
 from google.protobuf.message import Message
+from google.protobuf.timestamp_pb2 import Timestamp
 
 from service.client.connection import MAX_SENT_BYTES
 from service.client.known_objects import find_files, replace_by_id
 from service.errors import RequestError, shown, would_do
+from service.proto.planner.v1.execution_pb2 import CommandRequest, Order
 from service.proto.planner.v1.planner_pb2 import (
     BuildSceneRequest,
     CloudsSpec,
     Decision,
     DetectRequest,
     KnownMesh,
+    ListPlansRequest,
+    ListScenesRequest,
     PlanRecord,
     PlanState,
     Priority,
@@ -196,6 +201,51 @@ def _read_motion_files(folder: Path) -> list[FileChunk]:
         for path in paths
         if path.is_file()
     ]
+
+
+def make_list_message(state: str, since: datetime | None, task: str, needs_review: bool) -> ListPlansRequest:
+    """Return the message for a list of plans.
+
+    Raises:
+        RequestError: ``state`` is no state of a plan.
+    """
+    names = [name.removeprefix("PLAN_STATE_").lower() for name in list(PlanState.keys())[1:]]
+    if state and state not in names:
+        raise RequestError(f"state: unknown state {shown(state)}; expected {would_do(state, names)}")
+    return ListPlansRequest(
+        state=f"PLAN_STATE_{state.upper()}" if state else None,
+        since=_stamp(since),
+        task=task,
+        needs_review=needs_review,
+    )
+
+
+def make_scene_list_message(since: datetime | None) -> ListScenesRequest:
+    """Return the message for a list of scenes."""
+    return ListScenesRequest(since=_stamp(since))
+
+
+def _stamp(time: datetime | None) -> Timestamp | None:
+    """Return the message of a time, which is UTC unless it says otherwise."""
+    if time is None:
+        return None
+    stamp = Timestamp()
+    stamp.FromDatetime(time)
+    return stamp
+
+
+def make_command_message(order: str, lease: str, revision: int, speed: float) -> CommandRequest:
+    """Return the message of an order by its name, such as ``pause``.
+
+    Raises:
+        RequestError: there is no such order, or a speed belongs to ``speed`` only.
+    """
+    names = [name.removeprefix("ORDER_").lower() for name in list(Order.keys())[1:]]
+    if order not in names:
+        raise RequestError(f"order: unknown order {shown(order)}; expected {would_do(order, names)}")
+    if speed and order != "speed":
+        raise RequestError(f"speed: is of the order speed, and this is {order}")
+    return CommandRequest(order=f"ORDER_{order.upper()}", lease=lease, expected_revision=revision, speed=speed)
 
 
 def make_review_message(

@@ -74,6 +74,7 @@ class Execution:
         driver: RobotDriver,
         settings: ExecutionSettings | None = None,
         begin_s: float = 0.0,
+        start_tolerance: float = START_TOLERANCE,
     ) -> None:
         """Prepare the control of a plan on a robot that stands at its start.
 
@@ -82,6 +83,7 @@ class Execution:
             driver: the robot.
             settings: gains, guards and limits.
             begin_s: time of the plan to begin at; the robot rests in that pose [s].
+            start_tolerance: how far each joint may be from that pose [rad, m].
 
         Raises:
             ExecutionError: the driver has other joints than the plan, or the robot is not at the plan's start.
@@ -105,7 +107,7 @@ class Execution:
             driver, JointCommand(start.q[order], still, start.tau[order]), self.settings.watch.silent_s
         )
         self._load(reference, first, begin_s)
-        self._check_start(start, first)
+        self._check_start(start, first, start_tolerance)
 
     def _load(self, reference: PlannedReference, first: RobotReading, begin_s: float = 0.0) -> None:
         """Take a plan, from a time of its own on."""
@@ -160,6 +162,14 @@ class Execution:
         """
         self.machine.check_order(self.state, order)
         self._order = order
+
+    def set_speed(self, share: float) -> None:
+        """Change the speed of the plan's clock, as a share of real time; the way back keeps its own.
+
+        Raises:
+            ExecutionError: the share is below 0.01 or above 1.
+        """
+        self.machine.settings = replace(self.machine.settings, speed=share)
 
     def give_up(self, reason: str) -> None:
         """End an execution that is at rest, where it is.
@@ -293,14 +303,15 @@ class Execution:
         self.command = command
         return self._send(wanted, reading)
 
-    def _check_start(self, start: ReferenceState, first: RobotReading) -> None:
+    def _check_start(self, start: ReferenceState, first: RobotReading, tolerance: float) -> None:
         measured = np.asarray(first.q)
         off = np.abs(measured - start.configuration[self._columns])
-        if off.max(initial=0.0) > START_TOLERANCE:
+        if not off.max(initial=0.0) <= tolerance:
             worst = int(off.argmax())
             raise ExecutionError(
                 f"the robot is not at the plan's start: {self.driver.joint_names[worst]} is {measured[worst]:.3f}, the "
-                f"plan starts with {start.configuration[self._columns][worst]:.3f}"
+                f"plan starts with {start.configuration[self._columns][worst]:.3f}, {off[worst]:.3f} from there; "
+                f"expected at most {tolerance:g}"
             )
 
     def _find_fall(self, reading: RobotReading, wanted: ReferenceState) -> tuple[Finding, ...]:

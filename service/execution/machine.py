@@ -24,7 +24,7 @@ class Mode(Enum):
     PAUSED = "paused"  # the clock slows down, then stands still
     WAITING = "waiting"  # at the end of a phase, for what the next phase needs
     RETURNING = "returning"  # aborted, on the way back to the last pose in balance
-    HOLDING = "holding"  # a sensor or servo is not to be trusted: the clock comes to rest, and the execution ends there
+    HOLDING = "holding"  # stopped, or a sensor or servo is not to be trusted: it comes to rest, and ends there
     ABORTED = "aborted"  # there, at rest; only a new plan goes on
     FALLEN = "fallen"  # nothing is commanded any more but the last pose
     DONE = "done"
@@ -35,7 +35,8 @@ class Order(Enum):
 
     PAUSE = "pause"
     RESUME = "resume"
-    ABORT = "abort"
+    ABORT = "abort"  # back to the last pose in balance
+    STOP = "stop"  # to rest where it is, for good
 
 
 class TimedPhase(Protocol):
@@ -178,11 +179,11 @@ class ExecutionMachine:
         """Refuse an order that makes no sense in the present mode.
 
         Raises:
-            ExecutionError: the execution is over, or was aborted; a pause stops it on its way back, too.
+            ExecutionError: the execution is over, or was aborted; it can be paused and stopped on its way back, too.
         """
         if state.is_over:
             raise ExecutionError(f"{order.value}: the execution is {state.mode.value}; plan again to go on")
-        if state.mode is Mode.RETURNING and order is not Order.PAUSE:
+        if state.mode is Mode.RETURNING and order not in (Order.PAUSE, Order.STOP):
             raise ExecutionError(f"{order.value}: the execution was aborted and returns to its last pose in balance")
         if state.mode is Mode.HOLDING:
             raise ExecutionError(f"{order.value}: the execution comes to rest for good, since {state.reason}")
@@ -190,6 +191,8 @@ class ExecutionMachine:
     def _obey(self, state: MachineState, order: Order | None) -> MachineState:
         if order is None or state.is_over or state.mode is Mode.HOLDING:
             return state
+        if order is Order.STOP:
+            return replace(state, mode=Mode.HOLDING, returns=False, reason="stopped by the operator")
         if order is Order.PAUSE:
             returns = state.returns or state.mode is Mode.RETURNING
             reason = state.reason if returns else "paused by the operator"
@@ -204,7 +207,8 @@ class ExecutionMachine:
 
     def _abort(self, state: MachineState, reason: str, lost: Sequence[str]) -> MachineState:
         """Return the state on its way to the last pose in balance, counted from where the clock can come to rest."""
-        rest = 0.5 * max(state.rate, 0.0) ** 2 * self.settings.ramp_s / self.settings.speed
+        speed, rate = self.settings.speed, max(state.rate, 0.0)
+        rest = (max(rate - speed, 0.0) + 0.5 * min(rate, speed) ** 2 / speed) * self.settings.ramp_s
         goal = min(state.time_s + rest, self.phases[state.phase].end_s)
         if self.balance is not None:
             goal = self.balance.find_last(goal, lost, self.settings.margin_m)
@@ -264,6 +268,9 @@ class ExecutionMachine:
         return phase
 
     def _approach(self, rate: float, wanted: float, period_s: float) -> float:
-        """Return the clock's rate one cycle later: towards the wanted one, to full speed in the ramp's time."""
-        step = self.settings.speed / self.settings.ramp_s * period_s
+        """Return the clock's rate one cycle later: towards the wanted one, to full speed in the ramp's time.
+
+        A clock that runs faster than the full speed, since that was lowered, slows down as fast.
+        """
+        step = max(self.settings.speed, abs(rate)) / self.settings.ramp_s * period_s
         return rate + float(np.clip(wanted - rate, -step, step))

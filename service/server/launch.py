@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,13 @@ import platformdirs
 from service.errors import RequestError, would_do
 from service.executor import Pool
 from service.result.approval import Signer
+from service.server.operation.executions import RobotSettings
 from service.server.serve import PRELOAD, Endpoint, serve
 from service.server.settings import BUDGETS_S, KINDS, ServerSettings
 from service.telemetry import SentSpans, set_up_logs
 from service.trust import ClientLimiter, ClientLimits, TlsFiles, Tokens, find_listen_problems, find_socket_problems
 from service.work.plan import warm_up
+from service.work.robot.process import POLICIES
 
 LIGHT_WORKERS = 1  # beside those that plan: they list robots and check names while all others are busy
 LOCAL, RAY = "local", "ray://"
@@ -41,6 +43,7 @@ class ServeOptions:
         socket: Unix socket for clients of this machine, besides ``listen``.
         executor: ``local`` or ``ray://HOST:PORT``.
         requests_per_s: rate of each client in the long run; None for the default.
+        robot: the robot that plans are carried out on.
     """
 
     listen: str
@@ -54,6 +57,7 @@ class ServeOptions:
     socket: Path | None = None
     executor: str = LOCAL
     requests_per_s: float | None = None
+    robot: RobotSettings = field(default_factory=RobotSettings)
 
 
 async def launch(options: ServeOptions, on_ready: Callable[[str], None]) -> None:
@@ -70,6 +74,9 @@ async def launch(options: ServeOptions, on_ready: Callable[[str], None]) -> None
     tokens = None if options.tokens is None else Tokens(options.tokens)
     tls = _make_tls(options.tls)
     signer = None if options.sign_key is None else Signer(options.sign_key)
+    if options.robot.when_alone not in POLICIES:
+        expected = would_do(options.robot.when_alone, POLICIES)
+        raise RequestError(f"--when-alone: unknown policy {options.robot.when_alone!r}; expected {expected}")
     problems = find_listen_problems(options.listen, tls, tokens)  # before any worker is started
     if options.socket is not None:
         problems += [line.replace("--listen unix:", "--socket ") for line in find_socket_problems(options.socket)]
@@ -88,6 +95,7 @@ async def launch(options: ServeOptions, on_ready: Callable[[str], None]) -> None
         None if options.socket is None else str(options.socket),
         spans,
         signer,
+        options.robot,
     )
     await serve(settings, endpoint, _make_executor(options.executor, settings), on_ready)
 

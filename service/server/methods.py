@@ -12,11 +12,14 @@ import grpc
 from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
+from service.proto.planner.v1 import execution_pb2 as execution
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1 import pose_pb2
 from service.server.cloud_handlers import CloudHandlers
+from service.server.operation.executions import ExecutionHandlers
+from service.server.operation.lists import ListHandlers
+from service.server.operation.pose_handler import PoseHandler
 from service.server.plan_handler import PlanHandler
-from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import refuse_error, refuse_invalid
 from service.server.requests import set_warnings
@@ -39,6 +42,8 @@ class Servicer:
     clouds: CloudHandlers
     queries: QueryHandlers
     poses: PoseHandler
+    lists: ListHandlers
+    executions: ExecutionHandlers
 
     def Plan(self, message: wire.PlanRequest, context: Context) -> AsyncIterator[wire.PlanResponse | bytes]:
         return self.plan.plan(message, context)
@@ -69,6 +74,12 @@ class Servicer:
     def GetPlan(self, message: wire.GetPlanRequest, context: Context) -> AsyncIterator[wire.GetPlanResponse]:
         return self.queries.get_plan(message, context)
 
+    async def ListPlans(self, message: wire.ListPlansRequest, context: Context) -> wire.ListPlansResponse:
+        return await self.lists.list_plans(message, context)
+
+    async def ListScenes(self, message: wire.ListScenesRequest, context: Context) -> wire.ListScenesResponse:
+        return await self.lists.list_scenes(message, context)
+
     async def ReviewPlan(self, message: wire.ReviewPlanRequest, context: Context) -> wire.ReviewPlanResponse:
         return await self.queries.review_plan(message, context)
 
@@ -76,6 +87,15 @@ class Servicer:
         self, messages: AsyncIterator[pose_pb2.PoseSessionRequest], context: Context
     ) -> AsyncIterator[pose_pb2.PoseSessionResponse]:
         return self.poses.lead(messages, context)
+
+    async def Execute(self, message: execution.ExecuteRequest, context: Context) -> execution.ExecuteResponse:
+        return await self.executions.execute(message, context)
+
+    async def Command(self, message: execution.CommandRequest, context: Context) -> execution.CommandResponse:
+        return await self.executions.command(message, context)
+
+    def Watch(self, message: execution.WatchRequest, context: Context) -> AsyncIterator[execution.WatchResponse]:
+        return self.executions.watch(message, context)
 
     async def GetStatus(self, message: wire.GetStatusRequest, context: Context) -> wire.GetStatusResponse:
         return await self.queries.get_status(message, context)

@@ -12,7 +12,6 @@ from importlib.metadata import version
 from typing import cast
 
 import grpc
-from google.protobuf.timestamp_pb2 import Timestamp
 
 from service.executor import Lane, Place, WorkerState
 from service.executor.linux import rss_bytes
@@ -21,6 +20,7 @@ from service.proto.planner.v1.result_pb2 import FileChunk
 from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.result.approval import Approval, Revocation, Signer
 from service.server.jobs import JobRunner
+from service.server.operation.lists import END_NOT_STORED
 from service.server.plan_files import hash_files, read_files, stream_files
 from service.server.plan_handler import parse_result
 from service.server.refusals import refuse_invalid
@@ -33,6 +33,7 @@ from service.telemetry import PlanCounts, bind
 from service.trust import Role, current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
 from service.wire.results import checks_to_messages, encode_verdict, standing_to_message
+from service.wire.times import encode_time
 from service.work.look import describe_robots, verify
 from service.work.plan import Refused
 from service.work.simulate import SIMULATION_FIELDS, simulate
@@ -48,7 +49,6 @@ _SIMULATION_VERDICTS = {
     "STOOD": wire.SIMULATION_VERDICT_STOOD,
     "FELL": wire.SIMULATION_VERDICT_FELL,
 }
-END_NOT_STORED = "its end could not be stored"  # such as on a full disk
 MAX_PATH = 1000  # characters; a folder is made for each slash
 MAX_FILES = 1000  # to verify; a result and its robot have a few dozen
 
@@ -281,14 +281,14 @@ class QueryHandlers:
             state=wire.PLAN_STATE_RUNNING if running is not None and running.has_begun else _STATES[record.state],
             reviews=[_review_to_message(review) for review in reviews],
             is_approved=self._store.reviews.is_valid(reviews),
-            created=_timestamp(record.created),
+            created=encode_time(record.created),
             reason=record.why_lost,
             page_sha256=record.page_sha256,
         )
         if record.state is PlanState.FINISHED:
             message.result.CopyFrom(parse_result(record))
         if record.finished is not None:
-            message.finished.CopyFrom(_timestamp(record.finished))
+            message.finished.CopyFrom(encode_time(record.finished))
         return message
 
 
@@ -325,16 +325,10 @@ def _review_to_message(review: Review) -> wire.Review:
         certificate_sha256=review.certificate_sha256,
         page_sha256=review.page_sha256,
         approval=review.approval,
-        time=_timestamp(review.time),
+        time=encode_time(review.time),
         verdict=encode_verdict(review.verdict) if review.verdict else None,
-        expires=_timestamp(review.expires) if review.expires else None,
+        expires=encode_time(review.expires) if review.expires else None,
     )
-
-
-def _timestamp(seconds: float) -> Timestamp:
-    stamp = Timestamp()
-    stamp.FromNanoseconds(int(seconds * 1e9))
-    return stamp
 
 
 @cache

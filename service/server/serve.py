@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from logging import ERROR, INFO
 
@@ -26,8 +26,10 @@ from service.server.disk import DiskWatch
 from service.server.jobs import JobRunner
 from service.server.lifecycle import Health, OpenCalls
 from service.server.methods import SERVICE, Servicer, make_handlers
+from service.server.operation.executions import ExecutionHandlers, RobotSettings
+from service.server.operation.lists import ListHandlers
+from service.server.operation.pose_handler import PoseHandler
 from service.server.plan_handler import PlanHandler
-from service.server.pose_handler import PoseHandler
 from service.server.query_handlers import QueryHandlers
 from service.server.refusals import GOING_DOWN, STOPPING
 from service.server.requests import RequestReader
@@ -81,6 +83,7 @@ class Endpoint:
         socket: path of a Unix socket for clients of this machine, without TLS; None without.
         spans: recorder of spans.
         signer: key that signs approvals; None without.
+        robot: settings of the robot that plans are carried out on.
     """
 
     address: str
@@ -92,6 +95,7 @@ class Endpoint:
     socket: str | None = None
     spans: Spans | None = None
     signer: Signer | None = None
+    robot: RobotSettings = field(default_factory=RobotSettings)
 
 
 @dataclass(frozen=True)
@@ -187,13 +191,22 @@ async def start_server(settings: ServerSettings, endpoint: Endpoint, executor: P
             calls,
             AccessInterceptor(endpoint.tokens, limiter, uses_certificates),
         ]
+        executions = ExecutionHandlers(endpoint.robot, store)
         servicer = Servicer(
-            plans, uploads, CloudHandlers(reader, jobs, store, disk), queries, PoseHandler(reader, jobs)
+            plans,
+            uploads,
+            CloudHandlers(reader, jobs, store, disk),
+            queries,
+            PoseHandler(reader, jobs),
+            ListHandlers(store, plans.running),
+            executions,
         )
         server = grpc.aio.server(interceptors=interceptors, options=_options(settings))
         _add_services(server, servicer, health)
         address = _bind_ports(server, endpoint, certificates)
-        if not await asyncio.to_thread(executor.wait_ready):
+        stack.push_async_callback(executions.close)
+        is_ready, _ = await asyncio.gather(asyncio.to_thread(executor.wait_ready), executions.start())
+        if not is_ready:
             raise ServiceError("no worker could be started; see the log")
         stack.enter_context(executor.read_in(asyncio.get_running_loop()))
         await plans.resume()

@@ -21,6 +21,7 @@ from service.store.errors import (
     TooLargeError,
     UploadRefusedError,
 )
+from service.store.lists import ListedPlan, ListedScene, PlanFilter
 from service.store.records import (
     Decision,
     PlanRecord,
@@ -41,7 +42,10 @@ __all__ = [
     "DamagedError",
     "Decision",
     "DiskError",
+    "ListedPlan",
+    "ListedScene",
     "NotStoredError",
+    "PlanFilter",
     "PlanRecord",
     "PlanState",
     "Review",

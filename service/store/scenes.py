@@ -73,6 +73,14 @@ class Scenes:
             )
         return data
 
+    def created(self, scene_id: str) -> float:
+        """Return when a scene was built first [s since 1970] (NotStoredError: no scene has this id)."""
+        with self._database.reading() as db:
+            row = db.execute("SELECT created FROM scenes WHERE scene_id = ?", (scene_id,)).fetchone()
+        if row is None:
+            raise NotStoredError(f"unknown scene {shown(scene_id)}")
+        return float(row["created"])
+
     def has(self, scene_id: str) -> bool:
         """Return whether a scene is stored."""
         with self._database.reading() as db:

@@ -11,6 +11,7 @@ from typing import Self
 
 from service.store.database import Database
 from service.store.folder import LockedFolder
+from service.store.lists import Lists
 from service.store.plans import Plans
 from service.store.records import StoreLimits, StoreStats
 from service.store.reviews import Reviews
@@ -47,6 +48,7 @@ class Store:
             self.plans = Plans(self._database, archives, limits, clock)
             self.reviews = Reviews(self._database, self.plans, limits, clock)
             self.scenes = Scenes(self._database, limits, clock)
+            self.lists = Lists(self._database, self.plans, self.reviews, clock)
             self._resources = stack.pop_all()
 
     def __enter__(self) -> Self:

@@ -14,6 +14,8 @@ class Role(StrEnum):
 
     PLAN = "plan"
     REVIEW = "review"
+    EXECUTE = "execute"  # have the robot carry out a plan
+    COMMAND = "command"  # control of the robot, and orders to it
     ADMIN = "admin"
 
 
@@ -72,8 +74,13 @@ ROLE_NEEDED: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         f"{_PLANNER}/SimulatePlan": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ListRobots": (Role.PLAN,),
         f"{_PLANNER}/GetPlan": (Role.PLAN, Role.REVIEW),
+        f"{_PLANNER}/ListPlans": (Role.PLAN, Role.REVIEW, Role.EXECUTE),
+        f"{_PLANNER}/ListScenes": (Role.PLAN, Role.REVIEW),
         f"{_PLANNER}/ReviewPlan": (Role.REVIEW,),
         f"{_PLANNER}/PoseSession": (Role.PLAN,),
+        f"{_PLANNER}/Execute": (Role.EXECUTE,),
+        f"{_PLANNER}/Command": (Role.COMMAND,),
+        f"{_PLANNER}/Watch": (Role.EXECUTE, Role.COMMAND, Role.REVIEW),
         f"{_PLANNER}/GetStatus": (Role.ADMIN,),
         "/grpc.health.v1.Health/List": (Role.PLAN,),
         "/grpc.health.v1.Health/Watch": (Role.PLAN,),

@@ -156,6 +156,24 @@ def test_the_target_may_come_from_the_environment_and_the_token_from_a_file(
     assert [one["authorization"] for one in stand_in.metadata] == ["Bearer from-environment", "Bearer from-file"]
 
 
+def test_plans_and_scenes_are_listed_over_all_pages(stand_in: PlannerStandIn, target: str) -> None:
+    listed = json.loads(_scopt("plans", "--target", target, "--needs-review", "--since", "2h", "--json").stdout)
+    assert [plan["plan_id"] for plan in listed["plans"]] == [f"plan{number}" for number in range(5)]
+    assert all(request.needs_review and request.since.seconds > 0 for request in stand_in.requests)
+    table = _scopt("plans", "--target", target, "--limit", 3, "--state", "finished").stdout
+    assert "plan2" in table
+    assert "plan3" not in table
+    assert "scene:1" in _scopt("scenes", "--target", target).stdout
+
+
+def test_a_wrong_filter_is_refused_before_anything_is_sent(stand_in: PlannerStandIn, target: str) -> None:
+    result = _scopt("plans", "--target", target, "--state", "done")
+    assert result.exit_code == 3
+    assert "state: unknown state 'done'; expected queued, running" in result.stderr
+    assert _scopt("plans", "--target", target, "--since", "yesterday").exit_code == 2
+    assert stand_in.requests == []
+
+
 SHIPPED = sorted(REQUESTS.glob("*.yaml"))
 
 

@@ -213,3 +213,36 @@ def test_orders_are_refused_once_an_execution_is_over_or_aborted(mode):
 def test_settings_that_make_no_sense_are_refused(kwargs):
     with pytest.raises(ExecutionError, match="expected"):
         MachineSettings(**kwargs)
+
+
+@pytest.mark.parametrize("before", [None, Order.PAUSE, Order.ABORT])
+@pytest.mark.parametrize("at", [0.5, 1.4, 2.5])
+def test_a_stop_comes_to_rest_where_the_clock_is_and_ends_the_execution_there(at, before):
+    machine = ExecutionMachine(PHASES, balance_of(lambda t: 0.1 if t < 0.2 else 0.01))
+    schedule = {at + 0.1: Order.STOP} | ({} if before is None else {at: before})
+    states = run(machine, schedule)
+    assert (states[-1].mode, states[-1].rate, states[-1].reason) == (Mode.ABORTED, 0.0, "stopped by the operator")
+    assert states[-1].time_s == pytest.approx(at + 0.1, abs=0.25)
+    assert len(states) * PERIOD < at + 0.6
+    check_smooth(states, machine.settings)
+    machine.check_order(MachineState(mode=Mode.RETURNING), Order.STOP)
+
+
+@given(
+    speed=st.floats(0.01, 1.0), at=st.floats(0.1, 2.5), order=st.sampled_from([Order.PAUSE, Order.ABORT, Order.STOP])
+)
+def test_a_clock_whose_speed_was_lowered_still_comes_to_rest_in_its_ramp(speed, at, order):
+    fast = ExecutionMachine(PHASES, balance_of(lambda t: 0.1))
+    state = run(fast, limit_s=at)[-1]
+    slow = ExecutionMachine(PHASES, fast.balance, MachineSettings(speed=speed))
+    begin, n_cycles = state.time_s, 0
+    state = slow.step(state, (), order, PERIOD)
+    goal = state.goal_s
+    while state.rate != 0.0 and not state.is_over:
+        state, n_cycles = slow.step(state, (), None, PERIOD), n_cycles + 1
+    ramp_s = slow.settings.ramp_s
+    if order is Order.ABORT:
+        assert goal - begin <= ramp_s
+    else:
+        assert state.time_s - begin <= ramp_s
+        assert n_cycles * PERIOD <= ramp_s * (1.0 + np.log(1.0 / speed)) + 0.1

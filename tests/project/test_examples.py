@@ -64,6 +64,13 @@ def test_a_driver_is_told_a_plan_with_a_pause_and_a_moved_target(tmp_path):
     assert lines[-1].startswith("TRACKED")
 
 
+def test_a_robot_over_udp_carries_out_a_plan_with_the_lag_of_its_servos(tmp_path):
+    lines = run("08_a_robot_over_udp.py", tmp_path).splitlines()
+    assert lines[0] == "CERTIFIED"
+    assert sum("l_arm_elx" in line for line in lines) >= 3
+    assert lines[-1].startswith("TRACKED")
+
+
 @pytest.fixture
 def planning_server(tmp_path):
     """Address of a running server with one worker."""

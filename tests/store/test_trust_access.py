@@ -103,11 +103,14 @@ def test_every_method_of_the_planner_has_its_role() -> None:
     methods = {f"/{service.full_name}/{method.name}" for method in service.methods}
     assert methods == {method for method in ROLE_NEEDED if method.startswith("/planner.")}
     needs = {method.rpartition("/")[2]: ROLE_NEEDED[method] for method in methods}
-    assert {name for name, roles in needs.items() if Role.PLAN not in roles} == {"ReviewPlan", "GetStatus"}
+    assert {name for name, roles in needs.items() if Role.PLAN not in roles} == {
+        "ReviewPlan", "GetStatus", "Execute", "Command", "Watch",
+    }  # fmt: skip
     assert (needs["ReviewPlan"], needs["GetStatus"]) == ((Role.REVIEW,), (Role.ADMIN,))
+    assert (needs["Execute"], needs["Command"]) == ((Role.EXECUTE,), (Role.COMMAND,))
     # Who reviews a plan can look at it, and have it checked anew and simulated.
     assert {name for name, roles in needs.items() if Role.REVIEW in roles} == {
-        "ReviewPlan", "GetPlan", "GetScene", "SimulatePlan", "Verify",
+        "ReviewPlan", "GetPlan", "GetScene", "ListPlans", "ListScenes", "SimulatePlan", "Verify", "Watch",
     }  # fmt: skip
     assert not OPEN_TO_ALL & set(ROLE_NEEDED)
 

@@ -18,6 +18,7 @@ import grpc
 from benchmarks.service import asks
 from benchmarks.service.figures import Figure, Options
 from benchmarks.service.servers import started
+from service.proto.planner.v1 import execution_pb2 as execution
 from service.proto.planner.v1 import planner_pb2 as wire
 
 METHODS = {
@@ -28,6 +29,10 @@ METHODS = {
     "SimulatePlan": 1,
     "GetPlan": 1,
     "GetScene": 1,
+    "ListPlans": 1,
+    "ListScenes": 1,
+    "Execute": 1,
+    "Command": 1,
     "ReviewPlan": 1,
     "ListRobots": 1,
     "GetStatus": 1,
@@ -97,6 +102,10 @@ def _seeds() -> dict[str, list[bytes]]:
         "SimulatePlan": [wire.SimulatePlanRequest(plan_id="a" * 32, friction=0.5)],
         "GetPlan": [wire.GetPlanRequest(plan_id="a" * 32, with_files=True)],
         "GetScene": [wire.GetSceneRequest(scene_id="scene:" + "0" * 64)],
+        "ListPlans": [wire.ListPlansRequest(state=wire.PLAN_STATE_FINISHED, since={"seconds": 1}, task="valve")],  # type: ignore[arg-type]
+        "ListScenes": [wire.ListScenesRequest(page_size=3, page_token="7")],
+        "Execute": [execution.ExecuteRequest(plan_id="a" * 32, trajectory_sha256="b" * 64, start_tolerance=0.05)],
+        "Command": [execution.CommandRequest(order=execution.ORDER_TAKE_CONTROL, station="console")],
         "ReviewPlan": [wire.ReviewPlanRequest(plan_id="a" * 32, decision=wire.DECISION_ACCEPTED, comment="fine")],
         "ListRobots": [wire.ListRobotsRequest()],
         "GetStatus": [wire.GetStatusRequest()],

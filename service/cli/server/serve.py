@@ -63,6 +63,27 @@ def serve_command(
     scans: Annotated[
         list[Path] | None, typer.Option(help="Folder with cloud files for the page; may be given again.")
     ] = None,
+    robot: Annotated[
+        str,
+        typer.Option(
+            help="Robot that plans are carried out on: sim, udp, or a driver; NAME,key=value,... with options.",
+            show_default=False,
+        ),
+    ] = "",
+    when_alone: Annotated[
+        str, typer.Option(help="What the robot does when its operator has gone: hold, or finish its plan.")
+    ] = "hold",
+    require_approval: Annotated[
+        bool | None,
+        typer.Option(
+            "--require-approval/--no-require-approval",
+            help="Whether the robot carries out accepted plans only; by default unless it is simulated.",
+            show_default=False,
+        ),
+    ] = None,
+    scan_age: Annotated[
+        float, typer.Option(help="Seconds that a plan's scan may be old when it is carried out.", min=0.0)
+    ] = 3600.0,
     config: Annotated[
         Path | None,
         typer.Option(
@@ -83,6 +104,7 @@ def serve_command(
     import asyncio
 
     from service.server.launch import ServeOptions, launch
+    from service.server.operation.executions import RobotSettings
 
     options = ServeOptions(
         listen=listen,
@@ -104,6 +126,7 @@ def serve_command(
         socket=socket,
         executor=executor,
         requests_per_s=requests_per_s,
+        robot=RobotSettings(robot, when_alone, require_approval, scan_age),
     )
     if console is None:
         asyncio.run(launch(options, lambda address: typer.echo(f"listening on {address}")))

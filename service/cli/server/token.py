@@ -12,7 +12,9 @@ from service.cli.command import command
 @command()
 def token_command(
     name: Annotated[str, typer.Argument(help="Of the client.", metavar="NAME")],
-    role: Annotated[list[str], typer.Option(help="plan, review or admin; may be given again.", metavar="ROLE")],
+    role: Annotated[
+        list[str], typer.Option(help="plan, review, execute, command or admin; may be given again.", metavar="ROLE")
+    ],
 ) -> None:
     """Make a token: it is printed once, with the lines that the server's --tokens file needs."""
     from service.errors import RequestError, would_do

@@ -209,6 +209,18 @@ class PlannerStandIn(PlannerServiceServicer):
             for chunk in chunks(FILES):
                 yield pb.GetPlanResponse(file=chunk)
 
+    def ListPlans(self, request: Any, context: grpc.ServicerContext) -> pb.ListPlansResponse:
+        self._record(request, context)
+        n_first = int(request.page_token or 0)
+        ids = [f"plan{number}" for number in range(5)][n_first : n_first + min(request.page_size, 2)]
+        plans = [pb.PlanSummary(plan_id=name, state=self.state, needs_review=True) for name in ids]
+        last = n_first + len(ids)
+        return pb.ListPlansResponse(plans=plans, next_page_token=str(last) if last < 5 else "")
+
+    def ListScenes(self, request: Any, context: grpc.ServicerContext) -> pb.ListScenesResponse:
+        self._record(request, context)
+        return pb.ListScenesResponse(scenes=[pb.SceneSummary(scene_id="scene:1", client="ann", stored_bytes=2048)])
+
     def ReviewPlan(self, request: Any, context: grpc.ServicerContext) -> pb.ReviewPlanResponse:
         self._record(request, context)
         hashes = self.result.trajectory.sha256, self.result.certificate.sha256

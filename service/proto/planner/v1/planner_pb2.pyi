@@ -2,6 +2,7 @@ import datetime
 
 from google.protobuf import struct_pb2 as _struct_pb2
 from google.protobuf import timestamp_pb2 as _timestamp_pb2
+from service.proto.planner.v1 import execution_pb2 as _execution_pb2
 from service.proto.planner.v1 import pose_pb2 as _pose_pb2
 from service.proto.planner.v1 import request_pb2 as _request_pb2
 from service.proto.planner.v1 import result_pb2 as _result_pb2
@@ -558,6 +559,92 @@ class PlanRecord(_message.Message):
     reason: str
     page_sha256: str
     def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
+
+class ListPlansRequest(_message.Message):
+    __slots__ = ("state", "since", "task", "needs_review", "page_size", "page_token")
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    SINCE_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    NEEDS_REVIEW_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    state: PlanState
+    since: _timestamp_pb2.Timestamp
+    task: str
+    needs_review: bool
+    page_size: int
+    page_token: str
+    def __init__(self, state: _Optional[_Union[PlanState, str]] = ..., since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., task: _Optional[str] = ..., needs_review: bool = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListPlansResponse(_message.Message):
+    __slots__ = ("plans", "next_page_token")
+    PLANS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    plans: _containers.RepeatedCompositeFieldContainer[PlanSummary]
+    next_page_token: str
+    def __init__(self, plans: _Optional[_Iterable[_Union[PlanSummary, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class PlanSummary(_message.Message):
+    __slots__ = ("plan_id", "request_id", "client", "task", "state", "verdict", "created", "finished", "is_approved", "needs_review", "trajectory_sha256", "certificate_sha256", "page_sha256", "reason")
+    PLAN_ID_FIELD_NUMBER: _ClassVar[int]
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    CLIENT_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    VERDICT_FIELD_NUMBER: _ClassVar[int]
+    CREATED_FIELD_NUMBER: _ClassVar[int]
+    FINISHED_FIELD_NUMBER: _ClassVar[int]
+    IS_APPROVED_FIELD_NUMBER: _ClassVar[int]
+    NEEDS_REVIEW_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
+    CERTIFICATE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    plan_id: str
+    request_id: str
+    client: str
+    task: str
+    state: PlanState
+    verdict: _result_pb2.Verdict
+    created: _timestamp_pb2.Timestamp
+    finished: _timestamp_pb2.Timestamp
+    is_approved: bool
+    needs_review: bool
+    trajectory_sha256: str
+    certificate_sha256: str
+    page_sha256: str
+    reason: str
+    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., client: _Optional[str] = ..., task: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., verdict: _Optional[_Union[_result_pb2.Verdict, str]] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., is_approved: bool = ..., needs_review: bool = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., page_sha256: _Optional[str] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class ListScenesRequest(_message.Message):
+    __slots__ = ("since", "page_size", "page_token")
+    SINCE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    since: _timestamp_pb2.Timestamp
+    page_size: int
+    page_token: str
+    def __init__(self, since: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListScenesResponse(_message.Message):
+    __slots__ = ("scenes", "next_page_token")
+    SCENES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    scenes: _containers.RepeatedCompositeFieldContainer[SceneSummary]
+    next_page_token: str
+    def __init__(self, scenes: _Optional[_Iterable[_Union[SceneSummary, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class SceneSummary(_message.Message):
+    __slots__ = ("scene_id", "client", "created", "stored_bytes")
+    SCENE_ID_FIELD_NUMBER: _ClassVar[int]
+    CLIENT_FIELD_NUMBER: _ClassVar[int]
+    CREATED_FIELD_NUMBER: _ClassVar[int]
+    STORED_BYTES_FIELD_NUMBER: _ClassVar[int]
+    scene_id: str
+    client: str
+    created: _timestamp_pb2.Timestamp
+    stored_bytes: int
+    def __init__(self, scene_id: _Optional[str] = ..., client: _Optional[str] = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., stored_bytes: _Optional[int] = ...) -> None: ...
 
 class Review(_message.Message):
     __slots__ = ("decision", "reviewer", "comment", "trajectory_sha256", "certificate_sha256", "time", "page_sha256", "approval", "verdict", "expires")

@@ -3,6 +3,7 @@
 import grpc
 import warnings
 
+from service.proto.planner.v1 import execution_pb2 as planner_dot_v1_dot_execution__pb2
 from service.proto.planner.v1 import planner_pb2 as planner_dot_v1_dot_planner__pb2
 from service.proto.planner.v1 import pose_pb2 as planner_dot_v1_dot_pose__pb2
 
@@ -85,10 +86,35 @@ class PlannerServiceStub(object):
                 request_serializer=planner_dot_v1_dot_planner__pb2.GetPlanRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.GetPlanResponse.FromString,
                 _registered_method=True)
+        self.ListPlans = channel.unary_unary(
+                '/planner.v1.PlannerService/ListPlans',
+                request_serializer=planner_dot_v1_dot_planner__pb2.ListPlansRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.ListPlansResponse.FromString,
+                _registered_method=True)
+        self.ListScenes = channel.unary_unary(
+                '/planner.v1.PlannerService/ListScenes',
+                request_serializer=planner_dot_v1_dot_planner__pb2.ListScenesRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_planner__pb2.ListScenesResponse.FromString,
+                _registered_method=True)
         self.ReviewPlan = channel.unary_unary(
                 '/planner.v1.PlannerService/ReviewPlan',
                 request_serializer=planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.SerializeToString,
                 response_deserializer=planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.FromString,
+                _registered_method=True)
+        self.Execute = channel.unary_unary(
+                '/planner.v1.PlannerService/Execute',
+                request_serializer=planner_dot_v1_dot_execution__pb2.ExecuteRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_execution__pb2.ExecuteResponse.FromString,
+                _registered_method=True)
+        self.Command = channel.unary_unary(
+                '/planner.v1.PlannerService/Command',
+                request_serializer=planner_dot_v1_dot_execution__pb2.CommandRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_execution__pb2.CommandResponse.FromString,
+                _registered_method=True)
+        self.Watch = channel.unary_stream(
+                '/planner.v1.PlannerService/Watch',
+                request_serializer=planner_dot_v1_dot_execution__pb2.WatchRequest.SerializeToString,
+                response_deserializer=planner_dot_v1_dot_execution__pb2.WatchResponse.FromString,
                 _registered_method=True)
         self.PoseSession = channel.stream_stream(
                 '/planner.v1.PlannerService/PoseSession',
@@ -173,8 +199,43 @@ class PlannerServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ListPlans(self, request, context):
+        """Stored plans, newest first: the caller's own, or those of all clients for the roles review and admin.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListScenes(self, request, context):
+        """Stored scenes, newest first: the caller's own, or those of all clients for the roles review and admin.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def ReviewPlan(self, request, context):
         """Accept or reject a plan. Nothing counts as approved without it.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def Execute(self, request, context):
+        """Have the server's robot carry out a plan.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def Command(self, request, context):
+        """Give the server's robot an order, or take, release or take over its control.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def Watch(self, request, context):
+        """What the server's robot does: everything first, then what changes.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -242,10 +303,35 @@ def add_PlannerServiceServicer_to_server(servicer, server):
                     request_deserializer=planner_dot_v1_dot_planner__pb2.GetPlanRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.GetPlanResponse.SerializeToString,
             ),
+            'ListPlans': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListPlans,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.ListPlansRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.ListPlansResponse.SerializeToString,
+            ),
+            'ListScenes': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListScenes,
+                    request_deserializer=planner_dot_v1_dot_planner__pb2.ListScenesRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_planner__pb2.ListScenesResponse.SerializeToString,
+            ),
             'ReviewPlan': grpc.unary_unary_rpc_method_handler(
                     servicer.ReviewPlan,
                     request_deserializer=planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.FromString,
                     response_serializer=planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.SerializeToString,
+            ),
+            'Execute': grpc.unary_unary_rpc_method_handler(
+                    servicer.Execute,
+                    request_deserializer=planner_dot_v1_dot_execution__pb2.ExecuteRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_execution__pb2.ExecuteResponse.SerializeToString,
+            ),
+            'Command': grpc.unary_unary_rpc_method_handler(
+                    servicer.Command,
+                    request_deserializer=planner_dot_v1_dot_execution__pb2.CommandRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_execution__pb2.CommandResponse.SerializeToString,
+            ),
+            'Watch': grpc.unary_stream_rpc_method_handler(
+                    servicer.Watch,
+                    request_deserializer=planner_dot_v1_dot_execution__pb2.WatchRequest.FromString,
+                    response_serializer=planner_dot_v1_dot_execution__pb2.WatchResponse.SerializeToString,
             ),
             'PoseSession': grpc.stream_stream_rpc_method_handler(
                     servicer.PoseSession,
@@ -517,6 +603,60 @@ class PlannerService(object):
             _registered_method=True)
 
     @staticmethod
+    def ListPlans(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/ListPlans',
+            planner_dot_v1_dot_planner__pb2.ListPlansRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.ListPlansResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListScenes(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/ListScenes',
+            planner_dot_v1_dot_planner__pb2.ListScenesRequest.SerializeToString,
+            planner_dot_v1_dot_planner__pb2.ListScenesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
     def ReviewPlan(request,
             target,
             options=(),
@@ -533,6 +673,87 @@ class PlannerService(object):
             '/planner.v1.PlannerService/ReviewPlan',
             planner_dot_v1_dot_planner__pb2.ReviewPlanRequest.SerializeToString,
             planner_dot_v1_dot_planner__pb2.ReviewPlanResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Execute(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/Execute',
+            planner_dot_v1_dot_execution__pb2.ExecuteRequest.SerializeToString,
+            planner_dot_v1_dot_execution__pb2.ExecuteResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Command(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/planner.v1.PlannerService/Command',
+            planner_dot_v1_dot_execution__pb2.CommandRequest.SerializeToString,
+            planner_dot_v1_dot_execution__pb2.CommandResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Watch(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(
+            request,
+            target,
+            '/planner.v1.PlannerService/Watch',
+            planner_dot_v1_dot_execution__pb2.WatchRequest.SerializeToString,
+            planner_dot_v1_dot_execution__pb2.WatchResponse.FromString,
             options,
             channel_credentials,
             insecure,

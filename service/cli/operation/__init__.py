@@ -1,0 +1,1 @@
+"""Commands of an operator: plans on the robot of a server."""
