@@ -13,7 +13,6 @@ from costs.robot import RobotModel
 from service.demands import Demands
 from service.demands.figures.displacement import DISPLACED_MM
 from service.errors import shown
-from service.json_data import to_json_data
 from service.motion.expected_sag import expect_sag
 from service.replay.standing import is_comparable
 from service.request.file import hash_request_data
@@ -21,6 +20,7 @@ from service.request.formats import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, rates_at, sample_times, samples_of
 from service.result.result_json import links_without_shape
 from service.result.versions import find_format
+from service.scan.json_data import to_json_data
 from service.verify import (
     Certificate,
     Motion,

@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from costs.robot import RobotModel
-from service.json_data import encode_piece, to_json_data
 from service.request.file import request_hash, to_json
 from service.request.versions import find_format, list_defaults
 from service.result.folder import FORMAT
 from service.result.motion_json import file_columns, file_positions, motion_json, sample_times, samples_of
 from service.result.phase_report import PhaseReport, PhaseStatus
 from service.result.result import PlanResult
+from service.scan.json_data import encode_piece, to_json_data
 from service.verify import Certificate, Motion, link_vertices, robot_hash
 
 MAX_CLOUD_POINTS = 60_000

@@ -27,9 +27,9 @@ from perception import (
 )
 from perception.solids.match import KnownMesh, locate
 from service.errors import RequestError, ServiceError, would_do
-from service.json_data import to_json_data
 from service.request.choices import EVERY_KIND, GIVEN, KINDS
 from service.scan.cloud import CloudInput, OnStep, count_points, read_input
+from service.scan.json_data import to_json_data
 from service.scan.known_meshes import MeshInput, encode_residuals, load_known_meshes
 
 _LOG = logging.getLogger(__name__)

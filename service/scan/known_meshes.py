@@ -19,12 +19,12 @@ from perception.solids.match import KnownMesh
 from perception.solids.mesh import Solid
 from perception.solids.rating import MeshMatch
 from service.errors import RequestError
-from service.json_data import to_json_data
 from service.request.object_file import is_object_text, parse_object_text
 from service.request.scene import KnownMeshRequest
 from service.request.shapes import ObjectRequest
 from service.scan.cloud import parse_numbers
 from service.scan.given_objects import make_object
+from service.scan.json_data import to_json_data
 from service.scan.meshes import FORMATS, read_solid, split_convex
 from service.scan.scene_file import Placing
 from service.trust.folders import UPLOADED

@@ -30,7 +30,6 @@ from perception.convex.hulls import make_hull
 from perception.solids.match import KnownMesh
 from perception.solids.mesh import Solid, hull_mesh
 from service.errors import RequestError, shown
-from service.json_data import encode_piece, to_json_data
 from service.request.choices import Method, Unknown
 from service.scan.cloud import CloudInput, CloudRead, OnStep, count_points, read_input
 from service.scan.detect import (
@@ -44,6 +43,7 @@ from service.scan.detect import (
     limit_time,
     search_objects,
 )
+from service.scan.json_data import encode_piece, to_json_data
 from service.scan.known_meshes import (
     KIND,
     MeshInput,

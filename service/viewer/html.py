@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import VisualMesh
-from service.json_data import to_json_data
+from service.scan.json_data import to_json_data
 from service.viewer.files import replace_file
 from service.viewer.payload import make_payload
 from service.viewer.placements import LinkPlacements

@@ -10,7 +10,6 @@ import numpy as np
 from google.protobuf.message import Message
 from jaxtyping import Float
 
-from service.json_data import to_json_data
 from service.proto.planner.v1.planner_pb2 import PlanFinished, PlanResponse, Standing, StandingState
 from service.proto.planner.v1.result_pb2 import Certificate as CertificateMessage
 from service.proto.planner.v1.result_pb2 import Check, MotionResult, Trajectory
@@ -18,6 +17,7 @@ from service.proto.planner.v1.result_pb2 import Verdict as VerdictMessage
 from service.request.file import request_hash
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
 from service.result.result import PlanResult
+from service.scan.json_data import to_json_data
 from service.verify import Certificate, Motion
 from service.wire.hashes import hash_certificate, hash_trajectory
 

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 from viewer_results import box, make_result, unpack
 
 from costs.robot import VisualMesh
-from service.json_data import to_json_data
+from service.scan.json_data import to_json_data
 from service.viewer import LinkPlacements, write_viewer
 from service.viewer.html import render_viewer
 from service.viewer.hulls import make_convex_mesh
