@@ -29,6 +29,7 @@ from service.request.fields import (
 from service.request.tasks.kind import MovedNames, TaskSection
 from service.request.tasks.mechanism import MECHANISM, MechanismRequest
 from service.request.tasks.reach import PoseGoalRequest
+from service.request.tasks.step_objects import FitStep, GraspStep, ReleaseStep
 
 MAX_STEPS, MAX_CORNERS = 64, 200
 LONGEST_M = 3.0  # of a single step of a hand
@@ -386,6 +387,10 @@ class StepRequest(Section):
     press: PressStep | None = None
     mechanism: MechanismRequest | None = None
     body: BodyStep | None = None
+    grasp: GraspStep | None = None
+    release: ReleaseStep | None = None
+    insert: FitStep | None = None
+    withdraw: FitStep | None = None
     wait: Label | None = None
     check: Label | None = None
     look: Label | None = None
@@ -398,8 +403,26 @@ class StepRequest(Section):
         """The field that is given."""
         return next(kind for kind in STEP_KINDS if getattr(self, kind) is not None)
 
+    @property
+    def fit(self) -> FitStep | None:
+        """What goes into a hole or out of it."""
+        return self.insert or self.withdraw
 
-STEP_KINDS = ("move", "screw", "follow", "touch", "press", "mechanism", "body", *ENDING)
+
+STEP_KINDS = (
+    "move",
+    "screw",
+    "follow",
+    "touch",
+    "press",
+    "mechanism",
+    "body",
+    "grasp",
+    "release",
+    "insert",
+    "withdraw",
+    *ENDING,
+)
 Steps = Annotated[tuple[StepRequest, ...], at_most(MAX_STEPS)]
 
 
@@ -426,6 +449,11 @@ class StepsSection(TaskSection):
         return False
 
     @property
+    def carried(self) -> tuple[str, ...]:
+        """The objects that a step takes."""
+        return tuple(dict.fromkeys(step.grasp.object for step in self.steps if step.grasp is not None))
+
+    @property
     def moved_names(self) -> MovedNames | None:
         """What hands push, where a step does."""
         return MovedNames(MECHANISM) if any(step.mechanism or step.press for step in self.steps) else None
@@ -442,6 +470,8 @@ class StepsSection(TaskSection):
                 yield f"[{k}].screw.centre", step.screw.centre
             elif step.follow is not None:
                 yield f"[{k}].follow.face.point", step.follow.face.point
+            elif step.fit is not None:
+                yield f"[{k}].{step.kind}.at", step.fit.at
             elif step.press is not None:
                 yield f"[{k}].press.at", step.press.at
             elif step.mechanism is not None:
