@@ -87,8 +87,6 @@ def compile_step(
 def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float[np.ndarray, "n"]) -> StepPhase:
     """Return a phase with the carriers of the objects; fingers that hold one stay as they are."""
     made = maker.make(q)
-    if not holding.items:
-        return made
     fingers = {joint for hold in holding.held.values() for joint in hold.fingers}
     locked = (*made.locked, *sorted(fingers - set(made.locked)))
     straight = {joint: value for joint, value in made.straight.items() if joint not in fingers}
@@ -238,7 +236,9 @@ def _make_move(robot: RobotModel, company: Company, move: MoveStep, name: str, q
         guides = {frame: _shift_guide(pose, move.by) for frame, pose in poses.items()}
     if move.along == "free":
         if move.poses:
-            return replace(base, goal=GoalRequest(poses=move.poses))
+            carried = {name for group in company for name in group} - set(_map_tools(robot).values())
+            turned = (_keep_turn(pose, poses[pose.link]) if pose.link in carried else pose for pose in move.poses)
+            return replace(base, goal=GoalRequest(poses=tuple(turned)))
         ends = {frame: guide.poses(np.ones(1))[0] for frame, guide in guides.items()}
         goals = tuple(
             make_pose_goal(frame, pose, move.tolerance_m, move.rotation_tolerance_deg, move.free_axis)
@@ -251,6 +251,14 @@ def _make_move(robot: RobotModel, company: Company, move: MoveStep, name: str, q
     else:
         led = [Led(frame, guide, **free, **limits) for frame, guide in guides.items()]  # type: ignore[arg-type]
     return replace(base, led=tuple(led))
+
+
+def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalRequest:
+    """Return the pose of a carried object; one without orientation keeps the one that it has."""
+    if pose.quaternion_wxyz is not None:
+        return pose
+    w, x, y, z = Rotation.from_matrix(at[:3, :3]).as_quat(scalar_first=True).tolist()
+    return replace(pose, quaternion_wxyz=(w, x, y, z))
 
 
 def _lead_to_pose(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"], move: MoveStep) -> Led:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.robot import Mechanism, RobotModel
 from costs.robot.carried import MovableObject
@@ -22,6 +23,7 @@ from service.demands.steps.extent import Extent, NamedStep
 from service.demands.steps.holding import Holding, carry_along, choose_grippers
 from service.demands.steps.moved import MovedParts
 from service.demands.steps.objects import CLOSE, OPEN, Taking
+from service.demands.steps.walking import list_walking_phases, read_stances
 from service.demands.task_demand import RecordDemand, TaskDemand, World
 from service.request.tasks.step_objects import GraspStep, ReleaseStep
 from service.request.tasks.steps import StepsSection
@@ -111,7 +113,7 @@ class _Record:
         self.phases: dict[str, TaskPhase] = {}
         self.specs: dict[str, TaskPhase] = {}
         self.problems: list[str] = []
-        self._holding = self.demand.start
+        self._holding, self._at = self.demand.start, self.world.start
         self._recorded: dict[str, Phase] = {phase.name: phase for phase in self.recorded.phases}
 
     def read(self) -> None:
@@ -119,12 +121,18 @@ class _Record:
         mechanism = self.demand.moved
         values = np.zeros(0) if mechanism is None else mechanism.start
         steps = Extent.of(self.demand.section).done
+        unsettled = [phase for phase in self.recorded.phases if phase.name in UNSETTLED]
+        if unsettled:
+            self._at = self.recorded.curve(np.array([unsettled[-1].last]))[0, : self.world.robot.n]
         for named, after in zip(steps, [*steps[1:], None], strict=True):
             if named.index in self.demand.parts.parts:
                 self._read_part(named, values)
                 values = self.demand.parts.advance(named.index, values)
+            elif named.step.changes_contacts:
+                self._read_walk(named)
             else:
                 self._read_step(named, None if after is None else after.step.release)
+            self._at = self._find_end()
 
     def _read_step(self, named: NamedStep, after: ReleaseStep | None) -> None:
         grasp, release, q = named.step.grasp, named.step.release, None
@@ -148,6 +156,20 @@ class _Record:
         self._holding = self._holding.settle()
         if grasp is not None and taking is not None and q is not None:
             self._holding = self._holding.take(grasp.object, taking.grippers, grasp.force_n, q)
+
+    def _read_walk(self, named: NamedStep) -> None:
+        stances, finish = read_stances(self._holding, self.world.scene, named.step, named.name, self._at)
+        for phase in list_walking_phases(self._holding, stances, finish, named.name):
+            self.names.append(phase.name)
+            self.phases[phase.name] = phase
+        self._holding = replace(self._holding.settle(), stands=self._find_end())
+
+    def _find_end(self) -> Float[np.ndarray, "n"]:
+        """Return the configuration at the end of the last phase that was read and that the record has."""
+        done = [self._recorded[name] for name in self.names if name in self._recorded]
+        if not done:
+            return self._at
+        return np.asarray(self.recorded.curve(np.array([done[-1].last]))[0, : self.world.robot.n])
 
     def _read_taking(self, named: NamedStep, grasp: GraspStep) -> Taking:
         """Return the hands with which a record takes an object: those that carry it, or the nearest to it."""

@@ -100,6 +100,7 @@ class Holding:
         resting: (4, 4) poses in the world of those that the world carries, by name.
         held: the others, by name.
         fresh: pieces that the object touches which the step before has taken, by its name.
+        stands: (n,) configuration at whose feet the robot stands; None for its start.
     """
 
     robot: RobotModel
@@ -109,6 +110,7 @@ class Holding:
     resting: Mapping[str, Float[np.ndarray, "4 4"]]
     held: Mapping[str, Hold] = field(default_factory=dict)
     fresh: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    stands: Float[np.ndarray, "n"] | None = None
 
     @staticmethod
     def of(section: StepsSection, request: PlanRequest, robot: RobotModel, scene: Scene) -> Holding:
@@ -203,10 +205,11 @@ class Holding:
 
 
 def carry_along(phase: TaskPhase, holding: Holding) -> TaskPhase:
-    """Return a phase of a mechanism with the objects where they are."""
+    """Return a phase of a mechanism or of a walk with the objects where they are."""
     touches = (*phase.touches, *holding.list_touches())
     chains = (target for hold in holding.held.values() for target in hold.list_chain())
-    return replace(phase, touches=touches, targets=(*phase.targets, *chains), carriers=holding.carriers)
+    targets = (*phase.targets, *chains)
+    return replace(phase, touches=touches, targets=targets, carriers=holding.carriers, stands=holding.stands)
 
 
 def list_pad_touches(name: str, grippers: tuple[Gripper, ...]) -> Iterator[Allowance]:

@@ -93,7 +93,7 @@ class StepPhase:
         fingers: joints that move in equal steps besides, and their values at the end [rad, m].
         targets: further promises.
         is_chosen: whether goal, straight line and fingers are the planner's choice, which nobody demands.
-        holding: the objects and who carries them; None without objects.
+        holding: the objects and who carries them, and where the robot stands.
         lands: objects that rest at the end.
     """
 
@@ -167,8 +167,10 @@ class StepPhase:
         goal = () if self.goal is None or self.is_chosen else make_goal_targets(robot, self.goal, last)
         touches = self.list_touches(robot, first, last)
         carriers = () if self.holding is None else self.holding.carriers
+        stands = None if self.holding is None else self.holding.stands
+        own = tuple(targets)
         return TaskPhase(
-            self.name, touches=touches, goal=goal, targets=tuple(targets), loads=self.loads, carriers=carriers
+            self.name, touches=touches, goal=goal, targets=own, loads=self.loads, carriers=carriers, stands=stands
         )
 
 

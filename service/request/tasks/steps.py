@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 from service.errors import shown
 from service.request.fields import (
     SECTION,
+    Coordinate,
     Joints,
     Label,
     Name,
@@ -26,6 +27,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.tasks.contacts import ContactsRequest
 from service.request.tasks.kind import MovedNames, TaskSection
 from service.request.tasks.mechanism import MECHANISM, MechanismRequest
 from service.request.tasks.reach import PoseGoalRequest
@@ -371,6 +373,23 @@ class BodyStep(Section):
 
 
 @dataclass(config=SECTION)
+class WalkStep(Section):
+    """Footsteps straight to a place on a level floor.
+
+    Attributes:
+        to: x and y of the middle between the feet at the end [m].
+        yaw_deg: heading at the end; by default the one of the beginning [deg].
+        stride_m: by which a foot goes at most [m].
+        finish: posture to end in, as far as the feet allow.
+    """
+
+    to: tuple[Coordinate, Coordinate]
+    yaw_deg: Degrees | None = None
+    stride_m: Annotated[Number, Field(ge=0.05, le=0.5)] = 0.2
+    finish: Label | None = None
+
+
+@dataclass(config=SECTION)
 class StepRequest(Section):
     """One step, in the field of its kind.
 
@@ -391,6 +410,8 @@ class StepRequest(Section):
     release: ReleaseStep | None = None
     insert: FitStep | None = None
     withdraw: FitStep | None = None
+    walk: WalkStep | None = None
+    contacts: ContactsRequest | None = None
     wait: Label | None = None
     check: Label | None = None
     look: Label | None = None
@@ -402,6 +423,11 @@ class StepRequest(Section):
     def kind(self) -> str:
         """The field that is given."""
         return next(kind for kind in STEP_KINDS if getattr(self, kind) is not None)
+
+    @property
+    def changes_contacts(self) -> bool:
+        """Whether the robot changes what it stands on."""
+        return self.walk is not None or self.contacts is not None
 
     @property
     def fit(self) -> FitStep | None:
@@ -421,6 +447,8 @@ STEP_KINDS = (
     "release",
     "insert",
     "withdraw",
+    "walk",
+    "contacts",
     *ENDING,
 )
 Steps = Annotated[tuple[StepRequest, ...], at_most(MAX_STEPS)]

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from costs.rotation import pose_matrix
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
+from service.body.whole_body import WholeBody
 from service.demands.grasping.gripper import Gripper
 from service.demands.steps.compile import compile_step
 from service.demands.steps.demand import StepsDemand
@@ -19,10 +20,12 @@ from service.demands.steps.extent import Extent, NamedStep
 from service.demands.steps.holding import Holding, Item, carry_along, choose_grippers
 from service.demands.steps.objects import Fit, Taking
 from service.demands.steps.phases import PhaseMaker
+from service.demands.steps.walking import list_walking_phases, read_stances, rename_finish
 from service.errors import RequestError
 from service.request.tasks.step_objects import FitStep, GraspStep
 from service.request.tasks.steps import StepsSection
 from service.setup.prepare import PlanSetup
+from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.sequence import add_mechanism
 from service.tasks.steps.choices import Pick, find_blocked, list_choices, rank_choices
@@ -157,6 +160,8 @@ class _Walk:
         named = self._steps[index]
         if named.index in self._demand.parts.parts:
             yield self._push(index, state)
+        elif named.step.changes_contacts:
+            yield self._walk(index, state)
         elif named.step.grasp is not None:
             yield from self._take(index, named.step.grasp, state)
         else:
@@ -174,6 +179,29 @@ class _Walk:
         values = self._demand.parts.advance(named.index, state.values)
         after = None if tried is not None else _State(phases[-1].q[-1], values, holding.settle())
         return _Done(phases, order, tried, index, after)
+
+    def _walk(self, index: int, state: _State) -> _Done:
+        named, holding = self._steps[index], state.holding
+        n = self._setup.robot.n
+        if len(state.at) > n:
+            words = "parts that hands push and a change of stance do not go into one list; expected a request for each"
+            return _Done([], (), Tried(named.name, (words,)), index)
+        try:
+            stances, finish = read_stances(holding, self._setup.scene, named.step, named.name, state.at)
+        except RequestError as error:
+            return _Done([], (), Tried(named.name, error.problems), index)
+        own = self._solve(holding, state.at).solver
+        posture = None if finish is None else self._setup.robot.postures[finish]
+        made = plan_contact_motion(own, stances, posture)
+        phases = [
+            replace(phase, phase=carry_along(rename_finish(phase.phase, named.name), holding)) for phase in made.phases
+        ]
+        order = tuple(phase.name for phase in list_walking_phases(holding, stances, finish, named.name))
+        if made.reasons:
+            best = None if made.stuck is None else made.stuck.best
+            return _Done(phases, order, Tried(named.name, made.reasons, best), index)
+        q = phases[-1].q[-1]
+        return _Done(phases, order, None, index, _State(q, state.values, replace(holding.settle(), stands=q)))
 
     def _move(self, index: int, state: _State) -> _Done:
         named, holding, at = self._steps[index], state.holding, state.at
@@ -300,7 +328,12 @@ class _Walk:
 
     def _solve(self, holding: Holding, at: Float[np.ndarray, "n"]) -> StepSolver:
         """Return the solver of a step's phases from a configuration on."""
-        solver = place_objects(self._solver, holding, at, self._near) if holding.items else self._solver
+        solver = place_objects(self._solver, holding, at, self._near)
+        if holding.stands is not None:
+            body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
+            standing = WholeBody.standing(body.robot, body.scene, holding.stands, feet, body.aims)
+            stance = {"planted": standing.planted, "polygon": standing.polygon, "region": standing.region}
+            solver = replace(solver, body=replace(body, **stance))
         return StepSolver(solver, holding.placed, self._setup.request)
 
 
