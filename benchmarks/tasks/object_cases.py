@@ -127,7 +127,7 @@ def draw_hose(place: Place, rng: np.random.Generator) -> Data:
     height = float(rng.uniform(0.12, 0.16))
     item = {"type": "cylinder", "radius": radius, "height": height, "mass_kg": float(rng.uniform(0.3, 1.5))}
     values = {
-        "to": [*second, top + 0.5 * height + 1e-3], "axis": [0, 0, -1], "depth": depth, "clearance": play,
+        "to": [*second, top + 0.5 * height + 8e-3], "axis": [0, 0, -1], "depth": depth, "clearance": play,
         "turn": float(rng.uniform(15.0, 45.0)), "pieces": [wall["name"] for wall in walls],
     }  # fmt: skip
     return _request(place, top, walls, {**item, "position": [*first, top + 0.5 * height]}, "hose", values)

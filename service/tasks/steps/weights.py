@@ -19,7 +19,7 @@ from service.demands.grasping.gripper import list_grippers
 from service.demands.steps.holding import Hold, Holding
 from service.verify import GRAVITY, place_frames
 
-HAND_MARGIN_M = 4e-3  # between a hand and what it takes, or what that rests on
+HAND_MARGIN_M, GROUND_MARGIN_M = 4e-3, 1e-3  # between a hand and what it takes, and what that rests on
 BETWEEN_M = 4e-3  # between an object and what it passes close by as it is lifted and put down
 TORQUE_SHARE, TORQUE_TOLERANCE = 0.93, 0.01  # of the limits at rest while an object is carried
 
@@ -52,8 +52,8 @@ def _list_margins(
     items, pieces = [BodyRef.of_link(name) for name in holding.items], [BodyRef.of_piece(name) for name in near]
     for gripper in list_grippers(holding.robot, "auto"):
         for link in dict.fromkeys((gripper.link, gripper.front, *gripper.fingers)):
-            for ref in (*items, *pieces):
-                yield BodyRef.of_link(link), ref, HAND_MARGIN_M
+            yield from ((BodyRef.of_link(link), item, HAND_MARGIN_M) for item in items)
+            yield from ((BodyRef.of_link(link), piece, GROUND_MARGIN_M) for piece in pieces)
     for number, item in enumerate(items):
         for ref in (*items[:number], *pieces):
             yield item, ref, BETWEEN_M
