@@ -20,10 +20,10 @@ from service.errors import RequestError
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.steps import StepsSection
+from service.start.resting import SUPPORT_DEPTH_M
 from service.verify import Carrier, Grip, RelativePoseTarget, measure_rest_margin, place_frames
 
 PAD_DEPTH_M = 3e-3  # of a finger in what it holds
-SUPPORT_DEPTH_M = 2e-3  # of an object in what it rests on, as it is lifted and put down
 CHAIN_M, CHAIN_RAD = 1e-3, 5e-3  # by which the second hand may move against the first
 GRASP_M, GRASP_RAD = 5e-3, 0.035  # of a tool from a grasp of the request
 
