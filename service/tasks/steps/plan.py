@@ -332,8 +332,8 @@ class _Walk:
         if holding.stands is not None:
             body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
             standing = WholeBody.standing(body.robot, body.scene, holding.stands, feet, body.aims)
-            stance = {"planted": standing.planted, "polygon": standing.polygon, "region": standing.region}
-            solver = replace(solver, body=replace(body, **stance))
+            own = replace(body, planted=standing.planted, polygon=standing.polygon, region=standing.region)
+            solver = replace(solver, body=own)
         return StepSolver(solver, holding.placed, self._setup.request)
 
 
