@@ -116,6 +116,7 @@ bench-clouds: $(READY)
 bench-tasks: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.given $(BENCH_ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.scanned $(SCAN_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.objects $(OBJECT_ARGS)
 
 bench-starts: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.planning.starts $(BENCH_ARGS)

@@ -35,7 +35,7 @@ def an_object_carried_by_the_column(folder: Folder) -> None:
 
 @CARRIED.lie("carried", stranger=True)
 def an_object_taken_before_the_fingers_close(folder: Folder) -> None:
-    _carrier(folder, "enter").update(_carrier(folder, "lift"))
+    _carrier(folder, "grasp: enter").update(_carrier(folder, "lift"))
 
 
 @CARRIED.lie("carried", level=Level.FITTED)

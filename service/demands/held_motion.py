@@ -156,6 +156,7 @@ class _Standing:
         kept: targets of all phases.
         joint_names: of the robot, the mechanism's last.
         margin_m: how far the centre of mass stays inside the region of a phase's own contacts.
+        scene: all pieces.
     """
 
     stance: Stance
@@ -165,6 +166,7 @@ class _Standing:
     kept: tuple[Target, ...]
     joint_names: tuple[str, ...]
     margin_m: float
+    scene: Scene
 
     @staticmethod
     def of(demands: Demands, augmented: RobotModel) -> _Standing:
@@ -191,6 +193,7 @@ class _Standing:
             kept,
             augmented.joint_names,
             request.options.balance_margin_m,
+            scene,
         )
 
     def rebuild(self, recorded: Motion, index: int, demand: TaskPhase) -> Phase:
@@ -213,12 +216,17 @@ class _Standing:
             return replace(own, contacts=planted, region_margin_m=self.margin_m)
         first = recorded.curve(np.array([phase.first]))[0, : self.stance.robot.n]
         leaving = self.leaving.get(phase.name, ()) if index == 0 else ()
+        stance, floors = self.stance, self.floors
+        if demand.stands is not None:
+            feet = tuple(contact.link for contact in stance.contacts)
+            stance = Stance.of(stance.robot, demand.stands, feet, stance.margin_m, stance.hull is not None)
+            floors = make_standing_allowances(stance.contacts, self.scene)
         return replace(
             own,
-            contacts=self.stance.contacts,
-            allowances=(*self.floors, *leaving, *own.allowances),
-            support=self.stance.support(phase.name, first),
-            region_margin_m=self.stance.region_margin(phase.name, first),
+            contacts=stance.contacts,
+            allowances=(*floors, *leaving, *own.allowances),
+            support=stance.support(phase.name, first),
+            region_margin_m=stance.region_margin(phase.name, first),
         )
 
 

@@ -126,6 +126,7 @@ class TaskPhase:
         bears: by joint of the mechanism that stays still, the forces of a hand that it bears by itself [N m, N].
         pressed: parts of the mechanism that hands press.
         carriers: what carries each of the task's objects.
+        stands: (n,) configuration of the robot at whose feet it stands where ``contacts`` is None; None for its start.
     """
 
     name: str
@@ -142,6 +143,7 @@ class TaskPhase:
     bears: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pressed: tuple[PressedPart, ...] = ()
     carriers: tuple[Carrier, ...] = ()
+    stands: Float[np.ndarray, "n"] | None = None
 
     @property
     def hand(self) -> FrameMotion | None:

@@ -54,6 +54,28 @@ def make_goal_targets(
     )
 
 
+def make_pose_goal(
+    frame: str,
+    pose: Float[np.ndarray, "4 4"],
+    tolerance_m: float,
+    rotation_tolerance_deg: float,
+    free_axis: str = "none",
+) -> PoseGoalRequest:
+    """Return the goal of a frame at a pose."""
+    w, x, y, z = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
+    at = pose[:3, 3].tolist()
+    if free_axis == "all":
+        return PoseGoalRequest(frame, (at[0], at[1], at[2]), None, tolerance_m)
+    return PoseGoalRequest(
+        frame,
+        (at[0], at[1], at[2]),
+        (w, x, y, z),
+        tolerance_m,
+        rotation_tolerance_deg,
+        free_axis,  # type: ignore[arg-type]
+    )
+
+
 def make_goal_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None:
     """Return the requested rotation_world_link; None where the orientation is free."""
     if pose.quaternion_wxyz is None:

@@ -26,6 +26,10 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "wipe": {"corner": [0.7, -0.2, 1.2]},
     "pick_place": {"object": "can", "to": [0.5, -0.2, 0.9]},
     "carry": {"object": "beam", "to": [0.5, 0.0, 0.9]},
+    "plug": {"object": "plug", "to": [0.7, -0.2, 1.1]},
+    "debris": {"object": "beam", "to": [0.5, 0.2, 0.9]},
+    "hose": {"object": "hose", "to": [0.7, 0.0, 1.0]},
+    "tend_machine": {"object": "part", "to": [0.6, 0.1, 0.9]},
     "drill": {"centre": [0.8, -0.1, 1.15], "wall": ["wall"]},
 }
 KNOCK = """

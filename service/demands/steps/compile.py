@@ -19,11 +19,13 @@ from costs.allowance import Allowance, BodyRef
 from costs.guide import Guide
 from costs.robot import BASE_NAMES, RobotModel
 from costs.rotation import turn_towards
-from costs.scene import Scene
 from costs.work_space import borrow_data
+from service.demands.grasping.gripper import Gripper
 from service.demands.hands import list_robot_hands
+from service.demands.steps.holding import Holding
+from service.demands.steps.objects import Taking, list_grasp, list_release, make_fit
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
-from service.demands.targets import AXES
+from service.demands.targets import AXES, make_pose_goal
 from service.errors import RequestError, would_do
 from service.request.fields import HAND_FRICTION
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
@@ -39,32 +41,87 @@ from service.request.tasks.steps import (
 from service.verify import HAND_DRIFT_M, WORLD, HandLoad
 
 UPRIGHT_GROUP = "upright"
+Company = tuple[frozenset[str], ...]
+"""Frames that move as one: objects and the hands that hold them."""
+
 UP = np.array([0.0, 0.0, 1.0])
 STEEPEST_DEG = float(np.rad2deg(np.arctan(HAND_FRICTION[0])))  # lean of a tool that is pressed onto a face
 OFF_FACE_M = 1e-4  # tolerance of where a line to a face begins
 
 
-def compile_step(robot: RobotModel, scene: Scene, step: StepRequest, name: str) -> tuple[PhaseMaker, ...]:
-    """Return the phases of a step.
+def compile_step(
+    holding: Holding,
+    step: StepRequest,
+    name: str,
+    taking: Taking | None = None,
+    released: tuple[Gripper, ...] = (),
+    lands: str | None = None,
+) -> tuple[PhaseMaker, ...]:
+    """Return the phases of a step, with who carries the objects in them.
+
+    Args:
+        holding: at its beginning; of a release with the object carried by the world already.
+        step, name: of it.
+        taking: the hands of a grasp.
+        released: the hands of a release.
+        lands: object that the next step releases.
 
     Raises:
         RequestError: the robot has no such hand, frame or link.
     """
+    makers = _list_makers(holding, step, name, taking, released)
+    return tuple(
+        PhaseMaker(
+            maker.name,
+            partial(
+                _carry,
+                maker,
+                holding if number == 0 else holding.settle(),
+                (lands,) if lands is not None and number == len(makers) - 1 else (),
+            ),
+        )
+        for number, maker in enumerate(makers)
+    )
+
+
+def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float[np.ndarray, "n"]) -> StepPhase:
+    """Return a phase with the carriers of the objects; fingers that hold one stay as they are."""
+    made = maker.make(q)
+    fingers = {joint for hold in holding.held.values() for joint in hold.fingers}
+    locked = (*made.locked, *sorted(fingers - set(made.locked)))
+    straight = {joint: value for joint, value in made.straight.items() if joint not in fingers}
+    goal = made.goal
+    if goal is not None and not goal.poses and fingers:
+        values = goal.joints if goal.posture is None else _read_posture(holding.robot, goal.posture)
+        goal = GoalRequest(joints={joint: value for joint, value in values.items() if joint not in fingers})
+    return replace(made, holding=holding, lands=lands, locked=locked, straight=straight, goal=goal)
+
+
+def _list_makers(
+    holding: Holding, step: StepRequest, name: str, taking: Taking | None, released: tuple[Gripper, ...]
+) -> tuple[PhaseMaker, ...]:
+    robot, company = holding.placed, holding.list_company()
     for own in (step.move, step.screw, step.touch):
         if own is not None and (own.hand or own.frame):
             find_frames(robot, own.hand, own.frame)
     if step.body is not None and not robot.is_floating:
         raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     if step.move is not None:
-        return (PhaseMaker(name, partial(_make_move, robot, step.move, name)),)
+        return (PhaseMaker(name, partial(_make_move, robot, company, step.move, name)),)
     if step.screw is not None:
-        return (PhaseMaker(name, partial(_make_screw, robot, step.screw, name)),)
+        return (PhaseMaker(name, partial(_make_screw, robot, company, step.screw, name)),)
     if step.follow is not None:
-        return tuple(_list_follow(robot, step.follow, name))
+        return tuple(_list_follow(robot, company, step.follow, name))
     if step.touch is not None:
-        return (PhaseMaker(name, partial(_make_touch, robot, step.touch, name)),)
+        return (PhaseMaker(name, partial(_make_touch, robot, company, step.touch, name)),)
     if step.body is not None:
         return (PhaseMaker(name, partial(_make_body, robot, step.body, name)),)
+    if step.grasp is not None and taking is not None:
+        return tuple(list_grasp(holding, step.grasp, name, taking))
+    if step.release is not None:
+        return tuple(list_release(holding, step.release, name, released))
+    if step.fit is not None:
+        return (PhaseMaker(name, partial(make_fit, holding, step.fit, name)),)
     return ()
 
 
@@ -117,9 +174,10 @@ def list_carriers(robot: RobotModel, frame: str) -> frozenset[str]:
 
 
 def _keep_others(
-    robot: RobotModel, q: Float[np.ndarray, "n"], frames: tuple[str, ...], how: str
+    robot: RobotModel, company: Company, q: Float[np.ndarray, "n"], frames: tuple[str, ...], how: str
 ) -> dict[str, tuple[object, ...]]:
     """Return what the hands that do not move keep: poses or joints."""
+    frames = (*frames, *(name for group in company if group & set(frames) for name in group - set(frames)))
     others = [tool for tool in _map_tools(robot).values() if tool not in frames]
     if how == "free" or not others or not set(frames) & set(_map_tools(robot).values()):
         return {}
@@ -151,30 +209,12 @@ def _shift_guide(pose: Float[np.ndarray, "4 4"], by: ShiftRequest) -> Guide:
     return Guide.line(pose[:3, 3], pose[:3, :3], axes @ np.asarray(by.translation), axes @ turn)
 
 
-def make_pose_goal(
-    frame: str, pose: Float[np.ndarray, "4 4"], tolerance_m: float, rotation_tolerance_deg: float, free_axis: str
-) -> PoseGoalRequest:
-    """Return the goal of a frame at a pose."""
-    w, x, y, z = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
-    at = pose[:3, 3].tolist()
-    if free_axis == "all":
-        return PoseGoalRequest(frame, (at[0], at[1], at[2]), None, tolerance_m)
-    return PoseGoalRequest(
-        frame,
-        (at[0], at[1], at[2]),
-        (w, x, y, z),
-        tolerance_m,
-        rotation_tolerance_deg,
-        free_axis,  # type: ignore[arg-type]
-    )
-
-
-def _make_move(robot: RobotModel, move: MoveStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
+def _make_move(robot: RobotModel, company: Company, move: MoveStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
     moving = find_frames(robot, move.hand, move.frame) if move.hand or move.frame else ()
     frames = moving or tuple(pose.link for pose in move.poses)
     base = StepPhase(name, duration_s=move.duration_s)
     if moving:
-        base = replace(base, **_keep_others(robot, q, moving, move.other_hand))  # type: ignore[arg-type]
+        base = replace(base, **_keep_others(robot, company, q, moving, move.other_hand))  # type: ignore[arg-type]
     if move.joints or move.posture is not None:
         goal = GoalRequest(joints=move.joints, posture=move.posture)
         if not move.along.startswith("joint"):
@@ -196,7 +236,9 @@ def _make_move(robot: RobotModel, move: MoveStep, name: str, q: Float[np.ndarray
         guides = {frame: _shift_guide(pose, move.by) for frame, pose in poses.items()}
     if move.along == "free":
         if move.poses:
-            return replace(base, goal=GoalRequest(poses=move.poses))
+            carried = {name for group in company for name in group} - set(_map_tools(robot).values())
+            turned = (_keep_turn(pose, poses[pose.link]) if pose.link in carried else pose for pose in move.poses)
+            return replace(base, goal=GoalRequest(poses=tuple(turned)))
         ends = {frame: guide.poses(np.ones(1))[0] for frame, guide in guides.items()}
         goals = tuple(
             make_pose_goal(frame, pose, move.tolerance_m, move.rotation_tolerance_deg, move.free_axis)
@@ -209,6 +251,14 @@ def _make_move(robot: RobotModel, move: MoveStep, name: str, q: Float[np.ndarray
     else:
         led = [Led(frame, guide, **free, **limits) for frame, guide in guides.items()]  # type: ignore[arg-type]
     return replace(base, led=tuple(led))
+
+
+def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalRequest:
+    """Return the pose of a carried object; one without orientation keeps the one that it has."""
+    if pose.quaternion_wxyz is not None:
+        return pose
+    w, x, y, z = Rotation.from_matrix(at[:3, :3]).as_quat(scalar_first=True).tolist()
+    return replace(pose, quaternion_wxyz=(w, x, y, z))
 
 
 def _lead_to_pose(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"], move: MoveStep) -> Led:
@@ -231,7 +281,9 @@ def _read_posture(robot: RobotModel, posture: str) -> dict[str, float]:
     return {robot.joint_names[k]: float(values[k]) for k in range(first, len(values))}
 
 
-def _make_screw(robot: RobotModel, screw: ScrewStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
+def _make_screw(
+    robot: RobotModel, company: Company, screw: ScrewStep, name: str, q: Float[np.ndarray, "n"]
+) -> StepPhase:
     frames = find_frames(robot, screw.hand, screw.frame)
     led = []
     for frame in frames:
@@ -242,11 +294,13 @@ def _make_screw(robot: RobotModel, screw: ScrewStep, name: str, q: Float[np.ndar
         angle = float(np.deg2rad(screw.rotation_deg))
         guide = Guide.screw(pose[:3, 3], pose[:3, :3], centre, axis, angle, screw.translation_m)
         led.append(Led(frame, guide, **_read_free(screw.free_axis), **_read_limits(screw)))  # type: ignore[arg-type]
-    keeping = _keep_others(robot, q, frames, screw.other_hand)
+    keeping = _keep_others(robot, company, q, frames, screw.other_hand)
     return StepPhase(name, tuple(led), duration_s=screw.duration_s, **keeping)  # type: ignore[arg-type]
 
 
-def _make_touch(robot: RobotModel, touch: TouchStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
+def _make_touch(
+    robot: RobotModel, company: Company, touch: TouchStep, name: str, q: Float[np.ndarray, "n"]
+) -> StepPhase:
     (frame,) = find_frames(robot, touch.hand, touch.frame)
     pose = locate(robot, q, frame)
     way = np.asarray(touch.direction, dtype=float)
@@ -256,7 +310,7 @@ def _make_touch(robot: RobotModel, touch: TouchStep, name: str, q: Float[np.ndar
     led = Led(frame, guide, **_read_free(touch.free_axis), **_read_limits(touch))  # type: ignore[arg-type]
     depth = touch.window_m[1] - touch.window_m[0]
     touches = _allow(robot, frame, touch.pieces, depth)
-    keeping = _keep_others(robot, q, (frame,), touch.other_hand)
+    keeping = _keep_others(robot, company, q, (frame,), touch.other_hand)
     return StepPhase(name, (led,), touches=touches, **keeping)  # type: ignore[arg-type]
 
 
@@ -305,7 +359,7 @@ def _make_body(robot: RobotModel, body: BodyStep, name: str, q: Float[np.ndarray
     return StepPhase(name, tuple(led), locked=locked, duration_s=body.duration_s)
 
 
-def _list_follow(robot: RobotModel, step: FollowStep, name: str) -> Iterator[PhaseMaker]:
+def _list_follow(robot: RobotModel, company: Company, step: FollowStep, name: str) -> Iterator[PhaseMaker]:
     """Yield the phases of a path on a face: reach, approach, the path, retreat."""
     (frame,) = find_frames(robot, step.hand, step.frame)
     normal = np.asarray(step.face.normal, dtype=float)
@@ -318,7 +372,7 @@ def _list_follow(robot: RobotModel, step: FollowStep, name: str) -> Iterator[Pha
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = _point_along(axis), places[0] + off
         goal = make_pose_goal(frame, pose, OFF_FACE_M, 0.1, "z")
-        kept = _keep_others(robot, q, (frame,), step.other_hand)
+        kept = _keep_others(robot, company, q, (frame,), step.other_hand)
         return StepPhase(f"{name}: reach", goal=GoalRequest(poses=(goal,)), **kept)  # type: ignore[arg-type]
 
     yield PhaseMaker(f"{name}: reach", begin)
@@ -347,13 +401,14 @@ def _list_follow(robot: RobotModel, step: FollowStep, name: str) -> Iterator[Pha
         yield PhaseMaker(
             f"{name}: {part}",
             lambda q, part=part, guide=guide, is_path=is_path: _make_part(  # type: ignore[misc]
-                robot, step, f"{name}: {part}", frame, axis, guide, is_path, touches, q
+                robot, company, step, f"{name}: {part}", frame, axis, guide, is_path, touches, q
             ),
         )
 
 
 def _make_part(
     robot: RobotModel,
+    company: Company,
     step: FollowStep,
     name: str,
     frame: str,
@@ -369,7 +424,7 @@ def _make_part(
     limits = {**_read_limits(step), **({} if is_path else {"speed_m_s": None})}
     free = UP if step.turn == "free" else None
     led = Led(frame, guide(rotation), free_axis=free, **limits)  # type: ignore[arg-type]
-    keeping = _keep_others(robot, q, (frame,), step.other_hand)
+    keeping = _keep_others(robot, company, q, (frame,), step.other_hand)
     loads = (_make_thrust(frame, led.guide, axis, step),) if is_path and step.thrust_n else ()
     return StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
 

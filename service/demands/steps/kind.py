@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotModel
-from costs.scene import ConvexPiece
+from costs.scene import ConvexPiece, Scene
 from service.demands.kind import DemandPart, Shown
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.kind import read_given_physics
@@ -16,9 +16,11 @@ from service.demands.plausible import list_mechanism_problems
 from service.demands.resistance import MechanismPhysics
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent
+from service.demands.steps.holding import Holding, list_sequence_problems
 from service.demands.steps.moved import MovedParts
 from service.demands.steps.names import list_step_problems
 from service.demands.task_demand import World
+from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.request.tasks.steps import StepsSection
 
@@ -28,12 +30,18 @@ class StepsDemandPart(DemandPart[StepsSection]):
 
     def make_demand(self, section: StepsSection, world: World, shown: Shown, program: object) -> StepsDemand:
         """Return the steps as a demand."""
-        return StepsDemand(section)
+        return StepsDemand(section, Holding.of(section, world.request, world.robot, world.scene))
 
     def list_name_problems(self, section: StepsSection, request: PlanRequest, robot: RobotModel) -> Iterator[str]:
         """Yield a line per unknown hand, frame, joint or posture of a step."""
+        yield from list_sequence_problems(section)
+        try:
+            start = Holding.of(section, request, robot, Scene(()))
+        except RequestError as error:
+            yield from error.problems
+            return
         for named in Extent.of(section).done:
-            yield from list_step_problems(robot, named.step, f"task.steps[{named.index}]", request)
+            yield from list_step_problems(start, named.step, f"task.steps[{named.index}]", request)
 
     def list_given_problems(
         self, section: StepsSection, robot: RobotModel, start: Float[np.ndarray, "n"], obstacles: Sequence[ConvexPiece]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +11,9 @@ from jaxtyping import Float
 from costs.allowance import Allowance
 from costs.guide import Guide
 from costs.robot import RobotModel
+from costs.rotation import pose_matrix
 from service.demands.phase import TaskPhase
+from service.demands.steps.holding import Holding, list_rest_touches
 from service.demands.targets import make_goal_targets
 from service.request.tasks.reach import GoalRequest
 from service.verify import HandLoad, JointWayTarget, Profile, RelativePoseTarget, Target, WayTarget
@@ -88,6 +90,11 @@ class StepPhase:
         duration_s: of the phase; None for the fastest.
         touches: pairs that may touch besides feet and floor.
         loads: that the surroundings put on a hand.
+        fingers: joints that move in equal steps besides, and their values at the end [rad, m].
+        targets: further promises.
+        is_chosen: whether goal, straight line and fingers are the planner's choice, which nobody demands.
+        holding: the objects and who carries them, and where the robot stands.
+        lands: objects that rest at the end.
     """
 
     name: str
@@ -100,6 +107,38 @@ class StepPhase:
     duration_s: float | None = None
     touches: tuple[Allowance, ...] = ()
     loads: tuple[HandLoad, ...] = ()
+    fingers: Mapping[str, float] = field(default_factory=dict)
+    targets: tuple[Target, ...] = ()
+    is_chosen: bool = False
+    holding: Holding | None = None
+    lands: tuple[str, ...] = ()
+
+    def list_touches(
+        self, robot: RobotModel, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"] | None
+    ) -> tuple[Allowance, ...]:
+        """Return the pairs that may touch between two configurations; without the last at the end that is wanted."""
+        if self.holding is None:
+            return self.touches
+        touches = [*self.touches, *self.holding.list_touches()]
+        for name in self.lands:
+            pose = self._find_end(robot, name, first) if last is None else self.holding.locate(name, last)
+            touches += list_rest_touches(name, self.holding.find_rest(name, pose)[1])
+        return tuple(dict.fromkeys(touches))
+
+    def _find_end(self, robot: RobotModel, name: str, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
+        """Return where an object is to be at the end; as it is where nothing says that."""
+        assert self.holding is not None
+        here = self.holding.locate(name, q)
+        hold = self.holding.held.get(name)
+        frames = (name, *(() if hold is None else hold.tools))
+        for led in self.led:
+            if led.frame in frames:
+                begin, end = led.guide.poses(np.array([0.0, 1.0]))
+                return np.asarray(end @ np.linalg.inv(begin) @ here)
+        for pose in () if self.goal is None else self.goal.poses:
+            if pose.link == name:
+                return pose_matrix(pose.position, pose.quaternion_wxyz) if pose.quaternion_wxyz else here
+        return here
 
     def demand(self, robot: RobotModel, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> TaskPhase:
         """Return what the phase demands of any motion.
@@ -116,14 +155,23 @@ class StepPhase:
         if self.locked:
             values = first[[columns[name] for name in self.locked]]
             targets.append(JointWayTarget(self.locked, values, values, STILL))
-        if self.straight:
+        if self.holding is not None:
+            targets += [target for hold in self.holding.held.values() for target in hold.list_chain()]
+        targets += self.targets
+        if self.straight and not self.is_chosen:
             start = first[[columns[name] for name in self.straight]]
             end = np.array(list(self.straight.values()))
             targets.append(JointWayTarget(tuple(self.straight), start, end, STILL, self.profile, self.duration_s))
         elif self.duration_s is not None:
             targets.append(JointWayTarget((), np.zeros(0), np.zeros(0), STILL, duration_s=self.duration_s))
-        goal = () if self.goal is None else make_goal_targets(robot, self.goal, last)
-        return TaskPhase(self.name, touches=self.touches, goal=goal, targets=tuple(targets), loads=self.loads)
+        goal = () if self.goal is None or self.is_chosen else make_goal_targets(robot, self.goal, last)
+        touches = self.list_touches(robot, first, last)
+        carriers = () if self.holding is None else self.holding.carriers
+        stands = None if self.holding is None else self.holding.stands
+        own = tuple(targets)
+        return TaskPhase(
+            self.name, touches=touches, goal=goal, targets=own, loads=self.loads, carriers=carriers, stands=stands
+        )
 
 
 @dataclass(frozen=True)

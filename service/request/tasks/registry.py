@@ -30,7 +30,7 @@ SHIPPED = (
     TaskKind("mechanism", MechanismRequest, "service.demands.mechanism.kind:PART", "service.tasks.mechanism.kind:PART"),
     TaskKind("contacts", ContactsRequest, "service.demands.contacts.kind:PART", "service.tasks.contacts.kind:PART"),
     TaskKind("egress", EgressRequest, "service.demands.egress.kind:PART", "service.tasks.egress.kind:PART"),
-    TaskKind("pick_place", PickRequest, "service.demands.pick_place.kind:PART", "service.tasks.pick_place.kind:PART"),
+    TaskKind("pick_place", PickRequest, "service.demands.steps.pick_place:PART", "service.tasks.steps.kind:PICK_PLACE"),
     TaskKind("steps", StepsSection, "service.demands.steps.kind:PART", "service.tasks.steps.kind:PART"),
     TaskKind("trajopt", ProblemSection, "service.trajopt.kind:PART", "service.tasks.trajopt.kind:PART"),
 )

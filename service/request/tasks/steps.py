@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 from service.errors import shown
 from service.request.fields import (
     SECTION,
+    Coordinate,
     Joints,
     Label,
     Name,
@@ -26,9 +27,11 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.tasks.contacts import ContactsRequest
 from service.request.tasks.kind import MovedNames, TaskSection
 from service.request.tasks.mechanism import MECHANISM, MechanismRequest
 from service.request.tasks.reach import PoseGoalRequest
+from service.request.tasks.step_objects import FitStep, GraspStep, ReleaseStep
 
 MAX_STEPS, MAX_CORNERS = 64, 200
 LONGEST_M = 3.0  # of a single step of a hand
@@ -370,6 +373,23 @@ class BodyStep(Section):
 
 
 @dataclass(config=SECTION)
+class WalkStep(Section):
+    """Footsteps straight to a place on a level floor.
+
+    Attributes:
+        to: x and y of the middle between the feet at the end [m].
+        yaw_deg: heading at the end; by default the one of the beginning [deg].
+        stride_m: by which a foot goes at most [m].
+        finish: posture to end in, as far as the feet allow.
+    """
+
+    to: tuple[Coordinate, Coordinate]
+    yaw_deg: Degrees | None = None
+    stride_m: Annotated[Number, Field(ge=0.05, le=0.5)] = 0.2
+    finish: Label | None = None
+
+
+@dataclass(config=SECTION)
 class StepRequest(Section):
     """One step, in the field of its kind.
 
@@ -386,6 +406,12 @@ class StepRequest(Section):
     press: PressStep | None = None
     mechanism: MechanismRequest | None = None
     body: BodyStep | None = None
+    grasp: GraspStep | None = None
+    release: ReleaseStep | None = None
+    insert: FitStep | None = None
+    withdraw: FitStep | None = None
+    walk: WalkStep | None = None
+    contacts: ContactsRequest | None = None
     wait: Label | None = None
     check: Label | None = None
     look: Label | None = None
@@ -398,8 +424,33 @@ class StepRequest(Section):
         """The field that is given."""
         return next(kind for kind in STEP_KINDS if getattr(self, kind) is not None)
 
+    @property
+    def changes_contacts(self) -> bool:
+        """Whether the robot changes what it stands on."""
+        return self.walk is not None or self.contacts is not None
 
-STEP_KINDS = ("move", "screw", "follow", "touch", "press", "mechanism", "body", *ENDING)
+    @property
+    def fit(self) -> FitStep | None:
+        """What goes into a hole or out of it."""
+        return self.insert or self.withdraw
+
+
+STEP_KINDS = (
+    "move",
+    "screw",
+    "follow",
+    "touch",
+    "press",
+    "mechanism",
+    "body",
+    "grasp",
+    "release",
+    "insert",
+    "withdraw",
+    "walk",
+    "contacts",
+    *ENDING,
+)
 Steps = Annotated[tuple[StepRequest, ...], at_most(MAX_STEPS)]
 
 
@@ -426,6 +477,11 @@ class StepsSection(TaskSection):
         return False
 
     @property
+    def carried(self) -> tuple[str, ...]:
+        """The objects that a step takes."""
+        return tuple(dict.fromkeys(step.grasp.object for step in self.steps if step.grasp is not None))
+
+    @property
     def moved_names(self) -> MovedNames | None:
         """What hands push, where a step does."""
         return MovedNames(MECHANISM) if any(step.mechanism or step.press for step in self.steps) else None
@@ -442,6 +498,8 @@ class StepsSection(TaskSection):
                 yield f"[{k}].screw.centre", step.screw.centre
             elif step.follow is not None:
                 yield f"[{k}].follow.face.point", step.follow.face.point
+            elif step.fit is not None:
+                yield f"[{k}].{step.kind}.at", step.fit.at
             elif step.press is not None:
                 yield f"[{k}].press.at", step.press.at
             elif step.mechanism is not None:

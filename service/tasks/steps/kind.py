@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
+from service.demands.steps.pick_place import list_pick_steps
+from service.request.tasks.pick_place import PickRequest
 from service.request.tasks.steps import StepsSection
 from service.setup.prepare import PlanSetup
 from service.tasks.kind import PlanPart
@@ -20,4 +22,12 @@ class StepsPlanPart(PlanPart[StepsSection]):
         return plan_steps(section, setup, solver)
 
 
-PART = StepsPlanPart()
+class PickPlacePlanPart(PlanPart[PickRequest]):
+    """The steps of taking an object and putting it elsewhere."""
+
+    def plan(self, section: PickRequest, setup: PlanSetup, solver: PhaseSolver) -> Iterator[TaskPlan]:
+        """Yield the plan of the steps."""
+        return plan_steps(list_pick_steps(section, setup.request), setup, solver)
+
+
+PART, PICK_PLACE = StepsPlanPart(), PickPlacePlanPart()

@@ -2,25 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
+from costs.rotation import pose_matrix
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
+from service.body.whole_body import WholeBody
+from service.demands.grasping.gripper import Gripper
 from service.demands.steps.compile import compile_step
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent, NamedStep
+from service.demands.steps.holding import Holding, Item, carry_along, choose_grippers
+from service.demands.steps.objects import Fit, Taking
 from service.demands.steps.phases import PhaseMaker
+from service.demands.steps.walking import list_walking_phases, read_stances, rename_finish
 from service.errors import RequestError
+from service.request.tasks.step_objects import FitStep, GraspStep
 from service.request.tasks.steps import StepsSection
 from service.setup.prepare import PlanSetup
+from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.sequence import add_mechanism
+from service.tasks.steps.choices import Pick, find_blocked, list_choices, rank_choices
 from service.tasks.steps.pushed import plan_part
+from service.tasks.steps.refusals import describe_weight, find_obstacle
 from service.tasks.steps.solve import StepSolver, Tried
+from service.tasks.steps.weights import place_objects
+
+MOST_CHOICES = 6  # grasps that are planned
+NEAR_M = 0.06  # of a piece from an object, to count as beside it
 
 
 def plan_steps(section: StepsSection, setup: PlanSetup, plain: PhaseSolver) -> Iterator[TaskPlan]:
@@ -29,28 +44,69 @@ def plan_steps(section: StepsSection, setup: PlanSetup, plain: PhaseSolver) -> I
     Raises:
         RequestError: a hand does not touch what it is to push, or the robot is inside it at the start.
     """
-    demand, extent = StepsDemand(section), Extent.of(section)
+    start = Holding.of(section, setup.request, setup.robot, setup.scene)
+    demand, extent = StepsDemand(section, start), Extent.of(section)
     notes = tuple(extent.list_notes())
     if not extent.done:
         words = f"nothing comes before step '{extent.rest[0].name}'; plan the steps after it"
-        yield TaskPlan(plain.body, (), (words,), notes=notes)
+        yield TaskPlan(plain.body, (), (words,), notes=notes, objects=demand.objects)
         return
     mechanism = demand.moved
     solver = plain if mechanism is None else add_mechanism(plain, mechanism)
     collisions = () if mechanism is None else tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
-    walk = _Walk(plain, solver, setup, demand, solver.body.nominal)
-    phases: list[PlannedPhase] = []
-    for named in extent.done:
-        done, tried = walk.do(named)
-        phases += done
-        if tried is not None:
-            stuck = None if tried.solved is None else Stuck(tried.name, tried.solved, walk.order)
-            obstacle = tuple(f"step '{named.name}': {reason}" for reason in tried.reasons)
-            yield TaskPlan(solver.body, tuple(phases), obstacle, stuck, notes=notes, measure=demand.measure)
-            return
-    yield TaskPlan(solver.body, tuple(phases), notes=notes, measure=demand.measure)
+    walk = _Walk(plain, solver, setup, demand, extent.done)
+    done = walk.run(0, _State(solver.body.nominal, solver.body.nominal[plain.body.robot.n :], start))
+    plan = TaskPlan(
+        solver.body,
+        tuple(done.phases),
+        notes=(*notes, *done.notes),
+        measure=demand.measure,
+        objects=demand.objects,
+    )
+    if done.tried is not None:
+        tried, named = done.tried, extent.done[done.failed]
+        stuck = None if tried.solved is None else Stuck(tried.name, tried.solved, done.order)
+        obstacle = tuple(f"step '{named.name}': {reason}" for reason in tried.reasons)
+        plan = replace(plan, obstacle=obstacle, stuck=stuck, is_impossible=tried.is_impossible)
+    yield plan
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What the steps so far have reached.
+
+    Attributes:
+        at: (n,) configuration, with all parts.
+        values: (k,) of the parts' joints.
+        holding: who carries the objects.
+    """
+
+    at: Float[np.ndarray, "n"]
+    values: Float[np.ndarray, "k"]
+    holding: Holding
+
+
+@dataclass(frozen=True, eq=False)
+class _Done:
+    """Phases of steps, the best attempt last.
+
+    Attributes:
+        phases: of them.
+        order: names of all phases up to the step that was not solved.
+        tried: what was not solved; None where all were.
+        failed: index of its step.
+        after: what the steps have reached.
+        notes: choices that were made.
+    """
+
+    phases: list[PlannedPhase]
+    order: tuple[str, ...]
+    tried: Tried | None = None
+    failed: int = 0
+    after: _State | None = None
+    notes: tuple[str, ...] = ()
 
 
 class _Walk:
@@ -62,30 +118,227 @@ class _Walk:
         solver: PhaseSolver,
         setup: PlanSetup,
         demand: StepsDemand,
-        at: Float[np.ndarray, "n"],
+        steps: tuple[NamedStep, ...],
     ) -> None:
-        self._plain, self._solver, self._setup, self._demand, self._at = plain, solver, setup, demand, at
-        self._values = at[plain.body.robot.n :]
-        self.order: tuple[str, ...] = ()
+        self._plain, self._solver, self._setup, self._demand, self._steps = plain, solver, setup, demand, steps
 
-    def do(self, named: NamedStep) -> tuple[list[PlannedPhase], Tried | None]:
-        """Return the phases of a step, the best attempt last, and what was not solved."""
+    def run(self, index: int, state: _State) -> _Done:
+        """Return the phases of all steps from an index on; a grasp that leads nowhere gives way to another."""
+        if index == len(self._steps):
+            return _Done([], ())
+        best: _Done | None = None
+        until = self._find_release(index)
+        for done in self._list_ways(index, state):
+            if done.tried is None:
+                assert done.after is not None
+                rest = self.run(index + 1, done.after)
+                phases, order = [*done.phases, *rest.phases], (*done.order, *rest.order)
+                notes = (*done.notes, *rest.notes)
+                done = replace(done, phases=phases, order=order, tried=rest.tried, failed=rest.failed, notes=notes)
+            if done.tried is None:
+                return done
+            if best is None or len(done.phases) > len(best.phases):
+                best = done
+            if done.failed > until:
+                break
+        assert best is not None
+        return best
+
+    def _find_release(self, index: int) -> int:
+        """Return the index of the step that lets go of what a step takes; of the step itself where it takes nothing."""
+        grasp = self._steps[index].step.grasp
+        if grasp is None:
+            return index
+        for k in range(index + 1, len(self._steps)):
+            release = self._steps[k].step.release
+            if release is not None and release.object == grasp.object:
+                return k
+        return len(self._steps)
+
+    def _list_ways(self, index: int, state: _State) -> Iterator[_Done]:
+        """Yield ways of doing a step: one, or one for each choice of a grasp."""
+        named = self._steps[index]
         if named.index in self._demand.parts.parts:
-            own = replace(self._solver, body=replace(self._solver.body, nominal=self._at))
-            phases, tried = plan_part(self._plain, own, self._demand.parts, named, self._at, self._values)
-            self._values = self._demand.parts.advance(named.index, self._values)
-            self.order += tuple(phase.name for phase in phases)
+            yield self._push(index, state)
+        elif named.step.changes_contacts:
+            yield self._walk(index, state)
+        elif named.step.grasp is not None:
+            yield from self._take(index, named.step.grasp, state)
         else:
-            makers = compile_step(self._setup.robot, self._setup.scene, named.step, named.name)
-            self.order += tuple(maker.name for maker in makers)
-            phases, tried = _plan_step(StepSolver(self._solver, self._setup), makers, self._at)
-        if tried is None:
-            self._at = phases[-1].q[-1]
-        return phases, tried
+            yield self._move(index, state)
+
+    def _push(self, index: int, state: _State) -> _Done:
+        named, holding = self._steps[index], state.holding
+        n = self._plain.body.robot.n
+        plain = place_objects(self._plain, holding, state.at[:n], self._near)
+        own = place_objects(self._solver, holding, state.at, self._near)
+        phases, tried = plan_part(plain, own, self._demand.parts, named, state.at, state.values)
+        if holding.items:
+            phases = [replace(phase, phase=carry_along(phase.phase, holding), body=own.body) for phase in phases]
+        order = tuple(phase.name for phase in phases)
+        values = self._demand.parts.advance(named.index, state.values)
+        after = None if tried is not None else _State(phases[-1].q[-1], values, holding.settle())
+        return _Done(phases, order, tried, index, after)
+
+    def _walk(self, index: int, state: _State) -> _Done:
+        named, holding = self._steps[index], state.holding
+        n = self._setup.robot.n
+        if len(state.at) > n:
+            words = "parts that hands push and a change of stance do not go into one list; expected a request for each"
+            return _Done([], (), Tried(named.name, (words,)), index)
+        try:
+            stances, finish = read_stances(holding, self._setup.scene, named.step, named.name, state.at)
+        except RequestError as error:
+            return _Done([], (), Tried(named.name, error.problems), index)
+        own = self._solve(holding, state.at).solver
+        posture = None if finish is None else self._setup.robot.postures[finish]
+        made = plan_contact_motion(own, stances, posture)
+        phases = [
+            replace(phase, phase=carry_along(rename_finish(phase.phase, named.name), holding)) for phase in made.phases
+        ]
+        order = tuple(phase.name for phase in list_walking_phases(holding, stances, finish, named.name))
+        if made.reasons:
+            best = None if made.stuck is None else made.stuck.best
+            return _Done(phases, order, Tried(named.name, made.reasons, best), index)
+        q = phases[-1].q[-1]
+        return _Done(phases, order, None, index, _State(q, state.values, replace(holding.settle(), stands=q)))
+
+    def _move(self, index: int, state: _State) -> _Done:
+        named, holding, at = self._steps[index], state.holding, state.at
+        step = named.step
+        released: tuple[Gripper, ...] = ()
+        if step.release is not None:
+            released = holding.held[step.release.object].grippers
+            holding = holding.put(step.release.object, at)
+        if step.fit is not None:
+            reason = _explain_fit(step.fit, holding.items[step.fit.object], holding.locate(step.fit.object, at))
+            if reason is not None:
+                return _Done([], (), Tried(named.name, (reason,)), index)
+        after = self._steps[index + 1].step.release if index + 1 < len(self._steps) else None
+        lands = None if after is None else after.object
+        makers = compile_step(holding, step, named.name, None, released, lands)
+        phases, tried = _plan_step(self._solve(holding, at), makers, at)
+        if tried is not None and not tried.reasons and tried.solved is not None:
+            q = tried.solved.x[-1]
+            lines = [describe_weight(self._solver.body, holding, name, q) for name in holding.held]
+            tried = replace(tried, reasons=tuple(line for line in lines if line))
+        order = tuple(maker.name for maker in makers)
+        reached = None if tried is not None else _State(phases[-1].q[-1], state.values, holding.settle())
+        return _Done(phases, order, tried, index, reached)
+
+    def _take(self, index: int, step: GraspStep, state: _State) -> Iterator[_Done]:
+        named, holding, at = self._steps[index], state.holding, state.at
+        grippers = choose_grippers(self._setup.robot, step.hand, f"task.steps[{named.index}].grasp.hand")
+        busy = {tool for hold in holding.held.values() for tool in hold.tools}
+        grippers = tuple(gripper for gripper in grippers if gripper.tool not in busy)
+        pick, put = self._find_places(index, step, holding, at)
+        own = self._solve(holding, at)
+        body = own.solver.body
+
+        def refuse(reason: str, *, is_impossible: bool) -> _Done:
+            return _Done([], (), Tried(named.name, (reason,), is_impossible=is_impossible), index)
+
+        if isinstance(put, _Done):
+            yield put
+            return
+        is_first = bool(np.allclose(pick.places[0][0], pick.item.body.start))
+        reason = find_obstacle(body, holding, pick, put, grippers)
+        choices, refused = list_choices(pick, grippers) if reason is None else ([], ())
+        if reason is None and not choices:
+            reason = f"{step.object} is {refused[0]}" if refused else f"no hand is free to take {step.object}"
+        if reason is not None:
+            yield refuse(reason, is_impossible=is_first)
+            return
+        blocked = {choice: find_blocked(body, pick, choice) for choice in choices}
+        free = [choice for choice in choices if blocked[choice] is None]
+        if not free:
+            yield refuse(str(blocked[choices[0]]), is_impossible=is_first)
+            return
+        ranked = rank_choices(self._solver.body if not holding.items else body, pick, free)
+        if not ranked:
+            where = " and ".join(words for _, words in pick.places)
+            words = f"no hand reaches any of the {len(free)} grasps of {step.object} {where}, in balance"
+            yield refuse(words, is_impossible=False)
+            return
+        for choice in ranked[:MOST_CHOICES]:
+            makers = compile_step(holding, named.step, named.name, Taking(choice.grippers, choice.grasps))
+            phases, tried = _plan_step(own, makers, at)
+            order = tuple(maker.name for maker in makers)
+            after = None
+            if tried is None:
+                q = phases[-1].q[-1]
+                after = _State(q, state.values, holding.take(step.object, choice.grippers, step.force_n, q))
+            yield _Done(phases, order, tried, index, after, (f"{step.object} is taken by {choice.describe()}",))
+
+    def _find_places(
+        self, index: int, step: GraspStep, holding: Holding, at: Float[np.ndarray, "n"]
+    ) -> tuple[Pick, Float[np.ndarray, "4 4"] | _Done | None]:
+        """Return where an object is taken and brought, and where it is let go, as far as steps say so in the world.
+
+        Where it would not find into a hole on its way, that step is returned as what cannot be done.
+        """
+        item = holding.items[step.object]
+        here = holding.locate(step.object, at)
+        places, pose, is_known = [(here, "where it is")], here, True
+        until = self._find_release(index)
+        for number, named in enumerate(self._steps[index + 1 : until], start=index + 1):
+            own = named.step
+            wanted = [] if own.move is None else [each for each in own.move.poses if each.link == step.object]
+            if wanted:
+                turned = pose[:3, :3] if wanted[0].quaternion_wxyz is None else None
+                pose = pose_matrix(wanted[0].position, wanted[0].quaternion_wxyz or (1.0, 0.0, 0.0, 0.0))
+                if turned is not None:
+                    pose[:3, :3] = turned
+                is_known = True
+                places.append((pose, f"at {np.round(pose[:3, 3], 3).tolist()} ('{named.name}')"))
+            elif own.fit is not None and own.fit.object == step.object:
+                reason = _explain_fit(own.fit, item, pose) if is_known else None
+                if reason is not None:
+                    return Pick(item, step, tuple(places)), _Done([], (), Tried(named.name, (reason,)), number)
+                axis = np.asarray(own.fit.axis) / np.linalg.norm(own.fit.axis)
+                pose = pose.copy()
+                pose[:3, 3] += own.fit.depth_m * axis
+            elif own.move is not None and own.move.by is not None and own.move.frame == step.object:
+                pose = pose.copy()
+                pose[:3, 3] += np.asarray(own.move.by.translation)
+                is_known = is_known and own.move.by.axes == "world" and not any(own.move.by.rotation_deg)
+            elif own.move is not None or own.screw is not None or own.body is not None:
+                is_known = False
+        put = pose if is_known and until < len(self._steps) else None
+        if put is not None and not np.allclose(put, places[-1][0]):
+            places.append((put, "where it is put"))
+        return Pick(item, step, tuple(places)), put
+
+    @cached_property
+    def _near(self) -> tuple[str, ...]:
+        """Pieces that objects are beside, where they are or are brought."""
+        holding = self._demand.start
+        names: dict[str, None] = {}
+        for index, named in enumerate(self._steps):
+            grasp = named.step.grasp
+            if grasp is None:
+                continue
+            pick, _ = self._find_places(index, grasp, holding, self._solver.body.nominal)
+            for pose, _ in (*pick.places, (pick.item.body.start, "")):
+                corners = pick.item.body.vertices @ pose[:3, :3].T + pose[:3, 3]
+                low, high = corners.min(axis=0) - NEAR_M, corners.max(axis=0) + NEAR_M
+                near = (p for p in self._setup.scene.pieces if np.all(p.lower < high) and np.all(p.upper > low))
+                names |= dict.fromkeys(piece.name for piece in near)
+        return tuple(names)
+
+    def _solve(self, holding: Holding, at: Float[np.ndarray, "n"]) -> StepSolver:
+        """Return the solver of a step's phases from a configuration on."""
+        solver = place_objects(self._solver, holding, at, self._near)
+        if holding.stands is not None:
+            body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
+            standing = WholeBody.standing(body.robot, body.scene, holding.stands, feet, body.aims)
+            own = replace(body, planted=standing.planted, polygon=standing.polygon, region=standing.region)
+            solver = replace(solver, body=own)
+        return StepSolver(solver, holding.placed, self._setup.request)
 
 
 def _plan_step(
-    own: StepSolver, makers: tuple[PhaseMaker, ...], at: Float[np.ndarray, "n"]
+    own: StepSolver, makers: Sequence[PhaseMaker], at: Float[np.ndarray, "n"]
 ) -> tuple[list[PlannedPhase], Tried | None]:
     """Return the phases of a step that were solved, the best attempt last, and the one that was not."""
     first = own.make(makers[0], at)
@@ -103,3 +356,20 @@ def _plan_step(
         if best is None or len(lead) > len(best[0]):
             best = lead, missed or tried
     return own.solve_chain(makers[:1], at) if best is None else best
+
+
+def _explain_fit(step: FitStep, item: Item, pose: Float[np.ndarray, "4 4"]) -> str | None:
+    """Return why an object does not find into its hole, or wedges, from a pose in the world; None where it goes in."""
+    fit = Fit.of(step, item.body, pose)
+    if fit.tilted_rad > fit.tilt_rad:
+        return (
+            f"{step.object} is turned by {np.rad2deg(fit.tilted_rad):.1f} deg against the axis; beyond "
+            f"{np.rad2deg(fit.tilt_rad):.1f} deg it wedges at a friction of {step.friction:g}"
+        )
+    off = float(np.linalg.norm(fit.off))
+    if off > fit.lateral_m:
+        return (
+            f"{step.object} is {1e3 * off:.1f} mm beside the hole's axis; within {1e3 * fit.lateral_m:.1f} mm "
+            "(chamfer_m and half of clearance_m) it finds into it"
+        )
+    return None

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, islice
 
 import numpy as np
 from jaxtyping import Float
 
+from costs.allowance import Allowance
+from costs.guide import Guide
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.terms import JointTarget
@@ -23,21 +25,25 @@ from service.body.holds import (
     project_onto_holds,
 )
 from service.body.inverse_kinematics import solve_holds
-from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
+from service.body.ladder import Ends, GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_world_region
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT, End, Way, choose_policy
 from service.body.task_plan import KeptCurve, PlannedPhase, Solved
 from service.body.whole_body import WholeBody
-from service.demands.steps.phases import KEPT_M, KEPT_RAD, PhaseMaker, StepPhase
-from service.setup.prepare import PlanSetup
+from service.demands.steps.phases import KEPT_M, KEPT_RAD, Led, PhaseMaker, StepPhase
+from service.demands.targets import make_goal_rotation
+from service.request.schema import PlanRequest
+from service.request.tasks.reach import PoseGoalRequest
 from service.tasks.reach.goal import Goal
 from service.tasks.reach.goal_poses import GoalEnds
+from service.tasks.steps.over import list_ways_over
 from service.tasks.steps.profiles import find_least_duration, make_profile
 from service.tasks.steps.ways import FOLLOWED, count_waypoints, explain_break, hold_share, measure_led, stay_on
+from service.verify import RelativePoseTarget
 
-STRAIGHT_WAYPOINTS = 12
+STRAIGHT_WAYPOINTS, OVER_WAYPOINTS = 12, 20
 PLACE_TOLERANCE, TURN_TOLERANCE = 2e-4, 1e-3  # at a waypoint [m, rad]
 FOLLOW_STEPS = 15  # of Newton's method from one waypoint to the next
 FAR_OFF = 0.03  # of a frame from the end of its way, with nothing but joint limits in the way [m, rad]
@@ -54,23 +60,32 @@ class Tried:
         name: of the phase.
         reasons: sentences besides those of ``solved``.
         solved: the best attempt, where the optimiser made one.
+        is_impossible: whether the reasons hold for every motion.
     """
 
     name: str
     reasons: tuple[str, ...] = ()
     solved: Solved | None = None
+    is_impossible: bool = False
 
 
 @dataclass(frozen=True)
 class StepSolver:
-    """Solver of the phases of one step."""
+    """Solver of the phases of one step.
+
+    Attributes:
+        solver: of the robot with what hands push and take.
+        robot: without what hands push.
+        request: the whole of it.
+    """
 
     solver: PhaseSolver
-    setup: PlanSetup
+    robot: RobotModel
+    request: PlanRequest
 
     def make(self, maker: PhaseMaker, at: Float[np.ndarray, "n"]) -> StepPhase:
         """Return a phase from a configuration on, which may have the joints of parts besides the robot's."""
-        return maker.make(at[: self.setup.robot.n])
+        return maker.make(at[: self.robot.n])
 
     def solve_chain(
         self, makers: Sequence[PhaseMaker], at: Float[np.ndarray, "n"]
@@ -93,22 +108,25 @@ class StepSolver:
 
     def list_begins(self, free: StepPhase, path: PhaseMaker, at: Float[np.ndarray, "n"]) -> Iterator[np.ndarray]:
         """Yield configurations at the goal of a free phase at which the phase after it begins exactly on its way."""
-        stage = _Stage.of(self.solver, self.setup.robot, free, at)
+        stage = _Stage.of(self.solver, self.robot, free, at)
         assert free.goal is not None
-        ends = GoalEnds(stage.solver, Goal.of(stage.solver.body, free.goal))
+        goal = stage.make_goal()
+        ends = GoalEnds(stage.solver, goal)
         found = chain(ends.find(End.FIRST, 0), ends.find(End.OTHERS, 0))
         for q in islice(found, MOST_BEGINS):
             made = self.make(path, q)
-            holds = (*stage.solver.body.holds(), *(hold_share(stage.solver.body, led, 0.0) for led in made.led))
+            led = made.led
+            if free.is_chosen:  # nothing else says where the path begins
+                led = tuple(Led(pose.link, _stay_at(pose)) for pose in free.goal.poses)
+            holds = (*stage.solver.body.holds(), *(hold_share(stage.solver.body, own, 0.0) for own in led))
             yield project_onto_holds(stage.solver.body.engine, q[None], holds)[0]
 
     def solve_free(
         self, made: StepPhase, at: Float[np.ndarray, "n"], end: Float[np.ndarray, "n"] | None
     ) -> tuple[list[PlannedPhase], Tried | None]:
         """Return a free motion to a goal, to a given configuration there if there is one."""
-        stage = _Stage.of(self.solver, self.setup.robot, made, at)
-        assert made.goal is not None
-        goal = Goal.of(stage.solver.body, made.goal)
+        stage = _Stage.of(self.solver, self.robot, made, at)
+        goal = stage.make_goal()
         if end is None:
             ends = GoalEnds(stage.solver, goal)
             if ends.miss is not None:
@@ -130,32 +148,33 @@ class StepSolver:
 
             own = () if is_fixed and end is not None else constraints(last)
             return solver.solve_trajectory(
-                made.name, path, fixed, constraints=own, allowances=made.touches, bounds=bounds
+                made.name, path, fixed, constraints=own, allowances=stage.touches, bounds=bounds
             )
 
         policy = choose_policy(stage.solver.body.robot)
-        search = MotionSearch(made.name, stage.solver, solve, at, ends, policy, restorable=10.0)
+        paths = {Way.LED: lambda: stage.list_ways_over(at, ends)} if stage.carried else {}
+        search = MotionSearch(made.name, stage.solver, solve, at, ends, policy, paths, restorable=10.0)
         solved = find_motion(search)
         resolve = partial(_solve_between, stage, made)
         return stage.finish(solved, resolve)
 
     def solve_straight(self, made: StepPhase, at: Float[np.ndarray, "n"]) -> tuple[list[PlannedPhase], Tried | None]:
         """Return a straight line of configurations, or where it breaks."""
-        stage = _Stage.of(self.solver, self.setup.robot, made, at)
+        stage = _Stage.of(self.solver, self.robot, made, at)
         robot = self.solver.body.robot
         end = at.copy()
         end[[robot.joint_names.index(name) for name in made.straight]] = list(made.straight.values())
         path = straight_path(at, end, STRAIGHT_WAYPOINTS)
         fixed = dict(enumerate(path))
         quiet = stage.solver.with_effort(Effort.NONE)
-        solved = quiet.solve_trajectory(made.name, path, fixed, allowances=made.touches)
+        solved = quiet.solve_trajectory(made.name, path, fixed, allowances=stage.touches)
         phases, tried = stage.finish(replace(solved, result=replace(solved.result, x=path)), None)
         if tried is not None:
             reasons = ("the straight line breaks there; along: free looks for a way around it",)
             return phases, replace(tried, reasons=reasons)
         if made.profile == "any":
             return phases, None
-        options = self.setup.request.options
+        options = self.request.options
         speed, gain = robot.velocity * options.velocity_scale, robot.acceleration * options.acceleration_scale
         least = find_least_duration(made.profile, end - at, speed, gain)
         duration = least if made.duration_s is None else made.duration_s
@@ -170,7 +189,7 @@ class StepSolver:
 
     def solve_led(self, made: StepPhase, at: Float[np.ndarray, "n"]) -> tuple[list[PlannedPhase], Tried | None]:
         """Return a phase whose frames are on their ways between the waypoints, too."""
-        stage = _Stage.of(self.solver, self.setup.robot, made, at)
+        stage = _Stage.of(self.solver, self.robot, made, at)
         count = count_waypoints(made.led)
         _, path = next(stage.list_led_paths(made, at, count))
         if stage.measure_miss(path) > FAR_OFF:  # no obstacle or balance is to blame, and no optimiser helps
@@ -202,6 +221,7 @@ class _Stage:
         locked: coordinates of the robot that stay.
         still: coordinates of what hands push.
         kept: poses that stay.
+        standing: the robot with the objects, where there are some.
     """
 
     solver: PhaseSolver
@@ -211,26 +231,57 @@ class _Stage:
     locked: tuple[int, ...]
     still: tuple[int, ...]
     kept: tuple[KeptPose, ...]
+    standing: WholeBody | None = None
 
     @staticmethod
     def of(solver: PhaseSolver, robot: RobotModel, made: StepPhase, at: Float[np.ndarray, "n"]) -> _Stage:
         """Return a phase of a solver's body from a configuration on."""
         body = solver.body
         kept = tuple(KeptPose(frame, None, pose, pose, KEPT_M, KEPT_RAD) for frame, pose in made.kept)
+        if made.holding is not None:
+            kept += tuple(_keep_chain(target) for hold in made.holding.held.values() for target in hold.list_chain())
         own = replace(body, nominal=at, kept=(*body.kept, *kept))
         locked = tuple(body.robot.joint_names.index(name) for name in made.locked)
         still = tuple(range(robot.n, body.robot.n))
-        return _Stage(replace(solver, body=own), robot, made, at, locked, still, kept)
+        standing = None if made.holding is None else body
+        return _Stage(replace(solver, body=own), robot, made, at, locked, still, kept, standing)
 
     @property
     def body(self) -> WholeBody:
         """The robot at the beginning of the phase."""
         return self.solver.body
 
+    @cached_property
+    def touches(self) -> tuple[Allowance, ...]:
+        """Pairs that may touch."""
+        return self.made.list_touches(self.robot, self.at[: self.robot.n], None)
+
+    @property
+    def carried(self) -> tuple[str, ...]:
+        """Objects that hands carry."""
+        return () if self.made.holding is None else tuple(self.made.holding.held)
+
+    def list_ways_over(self, at: Float[np.ndarray, "n"], ends: Ends) -> Iterator[tuple[str, Path]]:
+        """Yield paths to the goal on which an object goes up, across and down."""
+        for end in islice(ends.find(End.FIRST, 0), 1):
+            yield from list_ways_over(self.body, self.carried[0], at, end, OVER_WAYPOINTS)
+
+    def make_goal(self) -> Goal:
+        """Return the goal of a free phase, with the fingers that move besides."""
+        assert self.made.goal is not None
+        goal, names = Goal.of(self.body, self.made.goal), self.body.robot.joint_names
+        fingers = {names.index(joint): value for joint, value in self.made.fingers.items()}
+        locked = {column: float(self.at[column]) for column in self.locked}
+        return replace(goal, joints={**locked, **goal.joints, **fingers})
+
     def lock(self, lower: Float[np.ndarray, "T n"], upper: Float[np.ndarray, "T n"]) -> None:
         """Fix the locked coordinates at all waypoints, in place."""
         columns = [*self.locked, *self.still]
         lower[:, columns] = upper[:, columns] = self.at[columns]
+        names = self.body.robot.joint_names
+        for joint, value in self.made.fingers.items():
+            column = names.index(joint)
+            lower[:, column] = upper[:, column] = np.linspace(self.at[column], value, len(lower))
 
     def list_holds(self) -> tuple[Hold, ...]:
         """Return what the curve keeps besides planted links: ways, kept poses, locked joints."""
@@ -274,6 +325,7 @@ class _Stage:
             values=np.zeros((len(q), 0)) if made.loads else None,
             limits=tuple((led.frame, led.speed_m_s) for led in made.led if led.speed_m_s is not None),
             duration_s=None if made.profile != "any" else made.duration_s,
+            body=self.standing,
         )
 
     def count_followed(self, path: Float[np.ndarray, "T n"]) -> int:
@@ -312,6 +364,20 @@ class _Stage:
                 return
 
 
+def _stay_at(pose: PoseGoalRequest) -> Guide:
+    """Return a way of no length at a pose."""
+    turned = make_goal_rotation(pose)
+    return Guide.line(np.asarray(pose.position), np.eye(3) if turned is None else turned, np.zeros(3))
+
+
+def _keep_chain(target: RelativePoseTarget) -> KeptPose:
+    """Return the hold of a second hand against the first."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = target.rotation, target.position
+    most = target.position_tolerance_m, target.rotation_tolerance_rad
+    return KeptPose(target.frame, target.reference, pose, pose, *most)
+
+
 def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) -> Solved:
     """Solve a phase with its frames at equal shares of their ways."""
     count = len(path)
@@ -321,7 +387,7 @@ def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) 
         for name, term, unit in measure_led(stage.body, led, waypoints, led.guide.poses(shares)):
             tolerance = PLACE_TOLERANCE if unit == "m" else TURN_TOLERANCE
             constraints.append(Constraint(name, term, Sense.EQUAL_ZERO, tolerance, unit=unit))
-    touches = tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in made.touches)
+    touches = tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in stage.touches)
     return solver.solve_trajectory(
         made.name,
         path,
@@ -336,4 +402,4 @@ def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) 
 def _solve_between(stage: _Stage, made: StepPhase, q: Path) -> Solved:
     """Solve a free motion between the ends of a path."""
     fixed = {0: q[0], len(q) - 1: q[-1]}
-    return stage.solver.solve_trajectory(made.name, q, fixed, allowances=made.touches, bounds=stage.lock)
+    return stage.solver.solve_trajectory(made.name, q, fixed, allowances=stage.touches, bounds=stage.lock)

@@ -557,7 +557,7 @@ class ObjectPlace(_message.Message):
     def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Step(_message.Message):
-    __slots__ = ("name", "move", "screw", "follow", "touch", "press", "mechanism", "body", "wait", "check", "look")
+    __slots__ = ("name", "move", "screw", "follow", "touch", "press", "mechanism", "body", "wait", "check", "look", "grasp", "release", "insert", "withdraw", "walk", "contacts")
     NAME_FIELD_NUMBER: _ClassVar[int]
     MOVE_FIELD_NUMBER: _ClassVar[int]
     SCREW_FIELD_NUMBER: _ClassVar[int]
@@ -569,6 +569,12 @@ class Step(_message.Message):
     WAIT_FIELD_NUMBER: _ClassVar[int]
     CHECK_FIELD_NUMBER: _ClassVar[int]
     LOOK_FIELD_NUMBER: _ClassVar[int]
+    GRASP_FIELD_NUMBER: _ClassVar[int]
+    RELEASE_FIELD_NUMBER: _ClassVar[int]
+    INSERT_FIELD_NUMBER: _ClassVar[int]
+    WITHDRAW_FIELD_NUMBER: _ClassVar[int]
+    WALK_FIELD_NUMBER: _ClassVar[int]
+    CONTACTS_FIELD_NUMBER: _ClassVar[int]
     name: str
     move: StepMove
     screw: Screw
@@ -580,7 +586,13 @@ class Step(_message.Message):
     wait: str
     check: str
     look: str
-    def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ...) -> None: ...
+    grasp: GraspStep
+    release: Release
+    insert: Fit
+    withdraw: Fit
+    walk: Walk
+    contacts: Contacts
+    def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ..., grasp: _Optional[_Union[GraspStep, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., insert: _Optional[_Union[Fit, _Mapping]] = ..., withdraw: _Optional[_Union[Fit, _Mapping]] = ..., walk: _Optional[_Union[Walk, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ...) -> None: ...
 
 class StepMove(_message.Message):
     __slots__ = ("joints", "posture", "poses", "by", "arc", "hand", "frame", "along", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
@@ -778,6 +790,68 @@ class Press(_message.Message):
     height_m: float
     hand: Hand
     def __init__(self, at: _Optional[_Iterable[float]] = ..., normal: _Optional[_Iterable[float]] = ..., force_n: _Optional[float] = ..., travel_m: _Optional[float] = ..., size_m: _Optional[float] = ..., height_m: _Optional[float] = ..., hand: _Optional[_Union[Hand, str]] = ...) -> None: ...
+
+class GraspStep(_message.Message):
+    __slots__ = ("object", "hand", "grasp", "force_n", "opening_m", "approach_m")
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    GRASP_FIELD_NUMBER: _ClassVar[int]
+    FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    OPENING_M_FIELD_NUMBER: _ClassVar[int]
+    APPROACH_M_FIELD_NUMBER: _ClassVar[int]
+    object: str
+    hand: CarryingHand
+    grasp: int
+    force_n: float
+    opening_m: float
+    approach_m: float
+    def __init__(self, object: _Optional[str] = ..., hand: _Optional[_Union[CarryingHand, str]] = ..., grasp: _Optional[int] = ..., force_n: _Optional[float] = ..., opening_m: _Optional[float] = ..., approach_m: _Optional[float] = ...) -> None: ...
+
+class Release(_message.Message):
+    __slots__ = ("object", "opening_m", "retreat_m")
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    OPENING_M_FIELD_NUMBER: _ClassVar[int]
+    RETREAT_M_FIELD_NUMBER: _ClassVar[int]
+    object: str
+    opening_m: float
+    retreat_m: float
+    def __init__(self, object: _Optional[str] = ..., opening_m: _Optional[float] = ..., retreat_m: _Optional[float] = ...) -> None: ...
+
+class Fit(_message.Message):
+    __slots__ = ("object", "axis", "depth_m", "clearance_m", "at", "pieces", "chamfer_m", "friction", "force_n", "speed_m_s")
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    AXIS_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
+    AT_FIELD_NUMBER: _ClassVar[int]
+    PIECES_FIELD_NUMBER: _ClassVar[int]
+    CHAMFER_M_FIELD_NUMBER: _ClassVar[int]
+    FRICTION_FIELD_NUMBER: _ClassVar[int]
+    FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    object: str
+    axis: _containers.RepeatedScalarFieldContainer[float]
+    depth_m: float
+    clearance_m: float
+    at: _containers.RepeatedScalarFieldContainer[float]
+    pieces: _containers.RepeatedScalarFieldContainer[str]
+    chamfer_m: float
+    friction: float
+    force_n: float
+    speed_m_s: float
+    def __init__(self, object: _Optional[str] = ..., axis: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., clearance_m: _Optional[float] = ..., at: _Optional[_Iterable[float]] = ..., pieces: _Optional[_Iterable[str]] = ..., chamfer_m: _Optional[float] = ..., friction: _Optional[float] = ..., force_n: _Optional[float] = ..., speed_m_s: _Optional[float] = ...) -> None: ...
+
+class Walk(_message.Message):
+    __slots__ = ("to", "yaw_deg", "stride_m", "finish")
+    TO_FIELD_NUMBER: _ClassVar[int]
+    YAW_DEG_FIELD_NUMBER: _ClassVar[int]
+    STRIDE_M_FIELD_NUMBER: _ClassVar[int]
+    FINISH_FIELD_NUMBER: _ClassVar[int]
+    to: _containers.RepeatedScalarFieldContainer[float]
+    yaw_deg: float
+    stride_m: float
+    finish: str
+    def __init__(self, to: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., stride_m: _Optional[float] = ..., finish: _Optional[str] = ...) -> None: ...
 
 class BodyMove(_message.Message):
     __slots__ = ("pelvis_m", "pelvis_rpy_deg", "torso_rpy_deg", "hands", "duration_s")

@@ -1,4 +1,4 @@
-"""Ways of hands followed by inverse kinematics: straight lines in balance, and up, across and down."""
+"""Ways of carried objects followed by inverse kinematics: up, across and down."""
 
 from __future__ import annotations
 
@@ -10,33 +10,12 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
 from costs.kinematics import locate_links
-from costs.terms import CentreOfMassAt, FramePose
+from costs.terms import FramePose
 from service.body.holds import Hold, project_within_limits
 from service.body.ladder import Path
 from service.body.whole_body import WholeBody
-from service.demands.phase import FrameMotion
 
 RISES_M = (0.0, 0.1)  # above the higher end, at which the way goes across
-
-
-def lead_in_balance(
-    body: WholeBody, hand: FrameMotion, q: Float[np.ndarray, "n"], count: int, *, is_backwards: bool
-) -> Path:
-    """Return waypoints with a tool on its line and the centre of mass where it is at one end, which is exact.
-
-    The optimiser alone moves the centre of mass in many short steps while a tool is at its place.
-    """
-    com = body.engine.place(q[None]).com[:, :2]
-    places, reserved = hand.places(count), body.bounds(1, {})
-    order = range(count - 2, -1, -1) if is_backwards else range(1, count)
-    path = np.tile(q, (count, 1))
-    for number in order:
-        before = path[number + 1] if is_backwards else path[number - 1]
-        target = np.eye(4)
-        target[:3, :3], target[:3, 3] = hand.rotation, places[number]
-        holds = (*body.holds(), _place(body, hand.tool, target), lambda waypoints: CentreOfMassAt(com[0], waypoints))
-        path[number] = project_within_limits(body.engine, before[None], holds, *reserved)[0]
-    return path
 
 
 def _place(body: WholeBody, tool: str, target: Float[np.ndarray, "4 4"]) -> Hold:

@@ -1,4 +1,4 @@
-"""Choices of hands and grasps for taking an object: what suits it, and what inverse kinematics reaches at both ends."""
+"""Choices of hands and grasps for taking an object: what suits it, and what is reached wherever it goes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from service.body.seeds import posture_guesses
 from service.body.whole_body import WholeBody
 from service.demands.grasping.grasps import Grasp, close_on, generate_poses, list_grasps
 from service.demands.grasping.gripper import Gripper
-from service.demands.pick_place.work import PickPlace
+from service.demands.steps.holding import Item
+from service.request.tasks.step_objects import GraspStep
 from service.verify import CoalSolid, DistanceQuery, make_coal_convex
 
 REACHED = 5e-3  # largest residual of a pose that counts as reached [m, rad]
@@ -30,6 +31,21 @@ OUTSIDE_M = 0.05  # of the centre of mass from the support polygon in a configur
 INSIDE_RAD = 10.0  # by which a configuration in which links meet counts as farther away, over all joints
 INSIDE_M = 1e-3  # of a hand in what stands around
 SPAN_ROOM_M = 0.05  # of a hand from the end of such an object
+
+
+@dataclass(frozen=True, eq=False)
+class Pick:
+    """An object that hands are to take.
+
+    Attributes:
+        item: the object.
+        step: that takes it.
+        places: (4, 4) poses in the world where it is taken and brought until it is let go, each with words for where.
+    """
+
+    item: Item
+    step: GraspStep
+    places: tuple[tuple[Float[np.ndarray, "4 4"], str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,23 +66,23 @@ class Choice:
         return " and ".join(words) + (f" at {' and '.join(numbered)}" if numbered else "")
 
 
-def list_choices(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
+def list_choices(pick: Pick, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
     """Return the grasps that suit the hands, and phrases why others do not."""
-    section, refused = work.request, list[str]()
-    if section.hand == "both":
-        return _list_pairs(work, grippers)
-    choices = []
+    if pick.step.hand == "both":
+        return _list_pairs(pick, grippers)
+    choices, refused = list[Choice](), list[str]()
     for gripper in grippers:
-        grasps, reasons = list_grasps(work.item, gripper, work.given.grasps, section.opening_m)
-        choices += [Choice((grasp,)) for grasp in grasps]
+        grasps, reasons = list_grasps(pick.item.body, gripper, pick.item.given.grasps, pick.step.opening_m)
+        wanted = (grasp for grasp in grasps if pick.step.grasp is None or grasp.number == pick.step.grasp)
+        choices += [Choice((grasp,)) for grasp in wanted]
         refused += reasons
     return choices, tuple(dict.fromkeys(refused))
 
 
-def _list_pairs(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
+def _list_pairs(pick: Pick, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
     """Return grasps of two hands beside each other along the longest side of an object, either leading."""
     first, second = grippers
-    size = np.ptp(work.item.vertices, axis=0)
+    size = np.ptp(pick.item.body.vertices, axis=0)
     length, axis = float(size.max()), np.eye(3)[int(size.argmax())]
     choices, refused = [], list[str]()
     for span in SPANS:
@@ -74,7 +90,7 @@ def _list_pairs(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choi
             continue
         for sense in (1.0, -1.0):
             offsets = ((first, 0.5 * sense * span), (second, -0.5 * sense * span))
-            sides = [list(_list_beside(work, gripper, axis, offset)) for gripper, offset in offsets]
+            sides = [list(_list_beside(pick, gripper, axis, offset)) for gripper, offset in offsets]
             refused += [reason for side in sides for reason in side if isinstance(reason, str)]
             for one in sides[0]:
                 for other in sides[1]:
@@ -87,44 +103,41 @@ def _list_pairs(work: PickPlace, grippers: Sequence[Gripper]) -> tuple[list[Choi
     return choices, tuple(dict.fromkeys(refused))
 
 
-def _list_beside(
-    work: PickPlace, gripper: Gripper, axis: Float[np.ndarray, "3"], offset: float
-) -> Iterator[Grasp | str]:
+def _list_beside(pick: Pick, gripper: Gripper, axis: Float[np.ndarray, "3"], offset: float) -> Iterator[Grasp | str]:
     """Yield the grasps across an axis of an object, off its middle; phrases for those that do not suit the hand."""
-    for pose in generate_poses(work.item, gripper):
+    for pose in generate_poses(pick.item.body, gripper):
         closing, along = pose[:3, :3] @ gripper.closing, pose[:3, 2]
         if max(abs(closing @ axis), abs(along @ axis)) > 1e-6:
             continue
         moved = pose.copy()
         moved[:3, 3] += offset * axis
-        made = close_on(work.item, gripper, moved, work.request.opening_m)
+        made = close_on(pick.item.body, gripper, moved, pick.step.opening_m)
         yield made if isinstance(made, str) else Grasp(gripper, moved, *made)
 
 
-def rank_choices(
-    body: WholeBody, work: PickPlace, choices: Sequence[Choice]
-) -> list[tuple[Choice, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]:
-    """Return the choices that are reached at both ends of the way, the nearest to the nominal pose first.
+def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice]) -> list[Choice]:
+    """Return the choices that are reached wherever the object goes, the nearest to the nominal pose first.
 
-    Those whose links would meet something come later.  Each comes with a configuration at either end, in which
-    obstacles and balance are left out.
+    Those whose links would meet something come later.  Obstacles and balance are left out.
     """
     poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
-    ahead = sorted(choices, key=lambda choice: _measure_turn(work, choice, poses))
+    ahead = sorted(choices, key=lambda choice: _measure_turn(pick, choice, poses))
     ranked = []
     for choice in ahead[:MOST_TRIED]:
-        if any(_comes_from_below(work, choice, end) for end in (work.item.start, work.place)):
+        if any(_comes_from_below(choice, place) for place, _ in pick.places):
             continue
-        first = _reach(body, choice, work.item.start, [body.nominal, *(q for _, q in posture_guesses(body)[1:])])
-        if first is None:
-            continue
-        last = _reach(body, choice, work.place, [first, body.nominal])
-        if last is not None:
-            effort = float(np.abs(first - body.nominal).sum() + np.abs(last - first).sum())
-            inside = sum(body.measure_nearest(q) < 0.0 for q in (first, last))
-            ranked.append((effort + INSIDE_RAD * inside, choice, first, last))
+        guesses = [body.nominal, *(q for _, q in posture_guesses(body)[1:])]
+        effort, before = 0.0, body.nominal
+        for place, _ in pick.places:
+            q = _reach(body, choice, place, guesses)
+            if q is None:
+                break
+            effort += float(np.abs(q - before).sum()) + INSIDE_RAD * (body.measure_nearest(q) < 0.0)
+            guesses, before = [q, body.nominal], q
+        else:
+            ranked.append((effort, choice))
     ranked.sort(key=lambda entry: entry[0])
-    return [(choice, first, last) for _, choice, first, last in ranked]
+    return [choice for _, choice in ranked]
 
 
 def hold_grasps(body: WholeBody, choice: Choice, pose_world_item: Float[np.ndarray, "4 4"]) -> tuple[Hold, ...]:
@@ -165,10 +178,10 @@ def _measure_outside(body: WholeBody, q: Float[np.ndarray, "n"]) -> float:
     return float((body.polygon.normals @ com - body.polygon.offsets).max())
 
 
-def find_blocked(body: WholeBody, work: PickPlace, choice: Choice) -> str | None:
-    """Return which part of an open hand would be inside what stands around the object, where it is or is put."""
+def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
+    """Return which part of an open hand would be inside what stands around the object, where it is or is brought."""
     query, robot = DistanceQuery(), body.robot
-    for end, where in ((work.item.start, "where it is"), (work.place, "where it is put")):
+    for end, where in pick.places:
         for grasp in choice.grasps:
             pose = end @ grasp.pose_object_tool
             for name, points in list_hand_shapes(robot, grasp):
@@ -182,7 +195,7 @@ def find_blocked(body: WholeBody, work: PickPlace, choice: Choice) -> str | None
                     if depth > INSIDE_M:
                         which = "the grasps" if grasp.number is None else f"grasp {grasp.number}"
                         inside = f"{name} {1e3 * depth:.0f} mm inside {piece.name}"
-                        return f"{which} of {work.item.name} would have {inside} {where}"
+                        return f"{which} of {pick.item.name} would have {inside} {where}"
     return None
 
 
@@ -202,15 +215,15 @@ def list_hand_shapes(robot: RobotModel, grasp: Grasp) -> Iterator[tuple[str, Flo
             yield part.name, part.vertices @ place.rotation.T + place.translation
 
 
-def _comes_from_below(work: PickPlace, choice: Choice, pose: Float[np.ndarray, "4 4"]) -> bool:
+def _comes_from_below(choice: Choice, pose: Float[np.ndarray, "4 4"]) -> bool:
     return any(float((pose[:3, :3] @ grasp.along)[2]) > STEEPEST for grasp in choice.grasps)
 
 
-def _measure_turn(work: PickPlace, choice: Choice, poses: dict[str, Float[np.ndarray, "4 4"]]) -> float:
+def _measure_turn(pick: Pick, choice: Choice, poses: dict[str, Float[np.ndarray, "4 4"]]) -> float:
     """Return how far the tools are turned and moved from where they are to the object."""
     total = 0.0
     for grasp in choice.grasps:
-        own, wanted = poses[grasp.gripper.tool], work.item.start @ grasp.pose_object_tool
+        own, wanted = poses[grasp.gripper.tool], pick.places[0][0] @ grasp.pose_object_tool
         turn = np.arccos(np.clip(0.5 * (np.trace(own[:3, :3].T @ wanted[:3, :3]) - 1.0), -1.0, 1.0))
         total += float(turn) + float(np.linalg.norm(own[:3, 3] - wanted[:3, 3]))
     return total / len(choice.grasps)

@@ -1,1 +1,0 @@
-"""Demands of taking an object and putting it elsewhere."""

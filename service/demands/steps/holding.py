@@ -1,0 +1,273 @@
+"""Who carries the objects of steps: hands from a grasp to a release, the world before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.allowance import Allowance, BodyRef
+from costs.robot import RobotModel
+from costs.robot.carried import MovableObject, PlacedObject, with_objects
+from costs.scene import Scene
+from service.demands.grasping.gripper import Gripper, list_grippers
+from service.demands.grasping.objects import find_object
+from service.demands.phase import TaskPhase
+from service.errors import RequestError
+from service.request.scene import ObjectRequest
+from service.request.schema import PlanRequest
+from service.request.tasks.steps import StepsSection
+from service.start.resting import SUPPORT_DEPTH_M
+from service.verify import Carrier, Grip, RelativePoseTarget, measure_rest_margin, place_frames
+
+PAD_DEPTH_M = 3e-3  # of a finger in what it holds
+CHAIN_M, CHAIN_RAD = 1e-3, 5e-3  # by which the second hand may move against the first
+GRASP_M, GRASP_RAD = 5e-3, 0.035  # of a tool from a grasp of the request
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """An object that steps take.
+
+    Attributes:
+        given: as the request gives it.
+        body: at its start.
+    """
+
+    given: ObjectRequest
+    body: MovableObject
+
+    @property
+    def name(self) -> str:
+        """Of the object."""
+        return self.body.name
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """An object in hands.
+
+    Attributes:
+        grippers: the leading one first.
+        force_n: with which each finger presses [N].
+        friction: least coefficient between fingers and object.
+        pose: (4, 4) of the object in the link of the leading gripper.
+        chain: (4, 4) poses of further tools in the leading tool, by tool.
+    """
+
+    grippers: tuple[Gripper, ...]
+    force_n: float
+    friction: float
+    pose: Float[np.ndarray, "4 4"]
+    chain: Mapping[str, Float[np.ndarray, "4 4"]]
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        """Tool frames of the hands."""
+        return tuple(gripper.tool for gripper in self.grippers)
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Coordinates of the fingers, which stay."""
+        return tuple(dict.fromkeys(joint for gripper in self.grippers for joint in gripper.joints))
+
+    def make_carrier(self, name: str) -> Carrier:
+        """Return what carries the object."""
+        grips = (Grip(own.fingers, min(self.force_n, own.force_n), self.friction) for own in self.grippers)
+        return Carrier(name, self.grippers[0].link, tuple(grips))
+
+    def list_chain(self) -> tuple[RelativePoseTarget, ...]:
+        """Return the promises that further hands keep their poses against the first."""
+        leading = self.tools[0]
+        return tuple(
+            RelativePoseTarget(tool, leading, pose[:3, 3], pose[:3, :3], CHAIN_M, CHAIN_RAD)
+            for tool, pose in self.chain.items()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """Where the objects are at the beginning of a step.
+
+    Attributes:
+        robot: without objects and without what hands push.
+        scene: the pieces.
+        items: that the steps take, by name.
+        friction: least coefficient between hands and objects.
+        resting: (4, 4) poses in the world of those that the world carries, by name.
+        held: the others, by name.
+        fresh: pieces that the object touches which the step before has taken, by its name.
+        stands: (n,) configuration at whose feet the robot stands; None for its start.
+    """
+
+    robot: RobotModel
+    scene: Scene
+    items: Mapping[str, Item]
+    friction: float
+    resting: Mapping[str, Float[np.ndarray, "4 4"]]
+    held: Mapping[str, Hold] = field(default_factory=dict)
+    fresh: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    stands: Float[np.ndarray, "n"] | None = None
+
+    @staticmethod
+    def of(section: StepsSection, request: PlanRequest, robot: RobotModel, scene: Scene) -> Holding:
+        """Return the objects at the start, where the world carries them.
+
+        Raises:
+            RequestError: the scene lacks an object of a step.
+        """
+        items = {}
+        for k, step in enumerate(section.steps):
+            if step.grasp is not None:
+                found = find_object(request, step.grasp.object, f"task.steps[{k}].grasp.object")
+                items[step.grasp.object] = Item(*found)
+        resting = {name: item.body.start for name, item in items.items()}
+        return Holding(robot, scene, items, request.options.hand_friction[0], resting)
+
+    @property
+    def objects(self) -> tuple[MovableObject, ...]:
+        """The objects as bodies."""
+        return tuple(item.body for item in self.items.values())
+
+    @cached_property
+    def placed(self) -> RobotModel:
+        """The robot with the objects."""
+        return self.place(self.robot)
+
+    def place(self, robot: RobotModel) -> RobotModel:
+        """Return a robot with the objects where they are."""
+        placed = []
+        for name, item in self.items.items():
+            hold = self.held.get(name)
+            link, pose = (None, self.resting[name]) if hold is None else (hold.grippers[0].link, hold.pose)
+            placed.append(PlacedObject(item.body, link, pose))
+        return with_objects(robot, placed)
+
+    @property
+    def carriers(self) -> tuple[Carrier, ...]:
+        """What carries each object."""
+        return tuple(self.held[name].make_carrier(name) if name in self.held else Carrier(name) for name in self.items)
+
+    def list_company(self) -> tuple[frozenset[str], ...]:
+        """Return the frames that move as one: an object and the hands that hold it."""
+        return tuple(frozenset((name, *hold.tools)) for name, hold in self.held.items())
+
+    def locate(self, name: str, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
+        """Return pose_world_object at a configuration of the robot."""
+        hold = self.held.get(name)
+        if hold is None:
+            return self.resting[name]
+        link = hold.grippers[0].link
+        return np.asarray(place_frames(self.robot, q[: self.robot.n], [link])[link] @ hold.pose)
+
+    def take(self, name: str, grippers: tuple[Gripper, ...], force_n: float, q: Float[np.ndarray, "n"]) -> Holding:
+        """Return the objects after a grasp that ends at a configuration."""
+        world = self.locate(name, q)
+        tools = [gripper.tool for gripper in grippers]
+        poses = place_frames(self.robot, q[: self.robot.n], [grippers[0].link, *tools])
+        leading = np.linalg.inv(poses[tools[0]])
+        hold = Hold(
+            grippers,
+            force_n,
+            self.friction,
+            np.linalg.inv(poses[grippers[0].link]) @ world,
+            {tool: leading @ poses[tool] for tool in tools[1:]},
+        )
+        resting = {key: pose for key, pose in self.resting.items() if key != name}
+        fresh = {name: self.find_rest(name, world)[1]}
+        return replace(self, resting=resting, held={**self.held, name: hold}, fresh=fresh)
+
+    def put(self, name: str, q: Float[np.ndarray, "n"]) -> Holding:
+        """Return the objects from a release on that begins at a configuration."""
+        held = {key: hold for key, hold in self.held.items() if key != name}
+        return replace(self, resting={**self.resting, name: self.locate(name, q)}, held=held, fresh={})
+
+    def settle(self) -> Holding:
+        """Return the objects after the step that moves those just taken off what they rested on."""
+        return replace(self, fresh={})
+
+    def find_rest(self, name: str, pose: Float[np.ndarray, "4 4"]) -> tuple[float, tuple[str, ...]]:
+        """Return the margin with which an object rests at a pose in the world [m], and on which pieces."""
+        item = self.items[name].body
+        body = with_objects(self.robot, [PlacedObject(item, None, pose)]).bodies[-1]
+        centre = pose[:3, :3] @ item.inertia.centre + pose[:3, 3]
+        return measure_rest_margin(body, centre, self.scene.pieces)
+
+    def list_touches(self) -> Iterator[Allowance]:
+        """Yield what touches during the whole step: fingers and what they hold, and what it has rested on."""
+        for name, hold in self.held.items():
+            yield from list_pad_touches(name, hold.grippers)
+        for name, pieces in self.fresh.items():
+            yield from list_rest_touches(name, pieces)
+
+
+def carry_along(phase: TaskPhase, holding: Holding) -> TaskPhase:
+    """Return a phase of a mechanism or of a walk with the objects where they are."""
+    touches = (*phase.touches, *holding.list_touches())
+    chains = (target for hold in holding.held.values() for target in hold.list_chain())
+    targets = (*phase.targets, *chains)
+    return replace(phase, touches=touches, targets=targets, carriers=holding.carriers, stands=holding.stands)
+
+
+def list_pad_touches(name: str, grippers: tuple[Gripper, ...]) -> Iterator[Allowance]:
+    """Yield the allowances of fingers with an object."""
+    for gripper in grippers:
+        for finger in gripper.fingers:
+            yield Allowance(BodyRef.of_link(finger), BodyRef.of_link(name), PAD_DEPTH_M)
+
+
+def list_rest_touches(name: str, pieces: tuple[str, ...]) -> Iterator[Allowance]:
+    """Yield the allowances of an object with what it rests on."""
+    for piece in pieces:
+        yield Allowance(BodyRef.of_link(name), BodyRef.of_piece(piece), SUPPORT_DEPTH_M)
+
+
+def choose_grippers(robot: RobotModel, hand: str, field_name: str) -> tuple[Gripper, ...]:
+    """Return the grippers of a robot that a request permits.
+
+    Raises:
+        RequestError: the robot has none.
+    """
+    grippers = list_grippers(robot, hand)
+    if len(grippers) < (2 if hand == "both" else 1):
+        wanted = "two hands" if hand == "both" else "a hand"
+        raise RequestError(
+            f"{field_name}: {hand} needs {wanted} with two fingers that slide, and robot "
+            f"'{robot.name}' has {len(grippers)}; robot.hand: gripper gives the bundled robot some, "
+            "robot.hands.SIDE.fingers names those of another robot"
+        )
+    return grippers
+
+
+def list_sequence_problems(section: StepsSection) -> Iterator[str]:
+    """Yield a line per step that needs an object which no hand holds then, or a hand that is not free."""
+    held: dict[str, str] = {}
+    taken = set(section.carried)
+    for k, step in enumerate(section.steps):
+        field_name = f"task.steps[{k}].{step.kind}"
+        if step.grasp is not None:
+            name, hand = step.grasp.object, step.grasp.hand
+            if name in held:
+                yield f"{field_name}.object: '{name}' is in a hand already; release it first"
+                continue
+            busy = [other for other, own in held.items() if own == hand or "both" in (own, hand)]
+            if busy or len(held) == 2:
+                yield f"{field_name}.hand: {hand} holds '{(busy or list(held))[0]}' already; release that first"
+                continue
+            held[name] = hand
+        elif step.release is not None:
+            if held.pop(step.release.object, None) is None:
+                yield f"{field_name}.object: no hand holds '{step.release.object}' then; grasp it before"
+        elif step.fit is not None:
+            if step.fit.object not in held:
+                yield f"{field_name}.object: no hand holds '{step.fit.object}' then; grasp it before"
+        elif step.move is not None or step.screw is not None:
+            own = step.move or step.screw
+            poses = () if step.move is None else step.move.poses
+            assert own is not None
+            for frame in (own.frame, *(pose.link for pose in poses)):
+                if frame in taken and frame not in held:
+                    yield f"{field_name}: no hand holds '{frame}' then; grasp it before"

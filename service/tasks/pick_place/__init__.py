@@ -1,1 +1,0 @@
-"""Planning of taking an object and putting it elsewhere."""

@@ -1,0 +1,121 @@
+"""What forbids a grasp whatever the path: sentences that name the object, the piece, the hand or the joint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from costs.robot.carried import PlacedObject, with_objects
+from service.body.whole_body import WholeBody
+from service.demands.grasping.gripper import Gripper
+from service.demands.steps.holding import Holding
+from service.explain.distance import find_out_of_reach
+from service.setup.checks import describe_overload
+from service.tasks.steps.choices import Pick
+from service.verify import GRAVITY, REST_MARGIN_M, CoalSolid, DistanceQuery
+
+ON_TOP_M = 0.01  # above an object, within which a piece rests on it
+ON_TOP_SHARE = 0.5  # of an object's height that such a piece is above
+INSIDE_M = 3e-3  # of an object in what it rests on
+NEAR_M = 0.2  # of a hand's tool from an object's surface
+
+
+def find_obstacle(
+    body: WholeBody, holding: Holding, pick: Pick, put: Float[np.ndarray, "4 4"] | None, grippers: Sequence[Gripper]
+) -> str | None:
+    """Return a sentence on what forbids a grasp whichever it is; None where nothing does.
+
+    Args:
+        body: the robot before it.
+        holding: the objects before it.
+        pick: what is taken.
+        put: (4, 4) where the object is let go; None where no step says so.
+        grippers: that may take it.
+    """
+    item, step = pick.item.body, pick.step
+    start = pick.places[0][0]
+    above = _find_on_top(body, holding, pick)
+    if above:
+        return f"{item.name} is under {above}; that has to be taken away first"
+    rests = [(start, "where it is")]
+    if put is not None:
+        rests.append((put, f"where it is put, at {np.round(put[:3, 3], 3).tolist()}"))
+    for pose, where in rests:
+        margin, names = holding.find_rest(item.name, pose)
+        if margin >= REST_MARGIN_M:
+            continue
+        if not names:
+            return f"{item.name} does not rest {where}: nothing is within 3 mm below it"
+        return f"{item.name} does not rest {where}: {' and '.join(names)} would let it tip or slide"
+    met = None if put is None else _find_inside(body, holding, item.name, put)
+    if met is not None:
+        return f"there is no place for {item.name} {rests[1][1]}: it would be {1e3 * met[1]:.0f} mm inside {met[0]}"
+    weak = [gripper for gripper in grippers if gripper.force_n < step.force_n]
+    if weak:
+        return (
+            f"the fingers of the {weak[0].side} hand press with at most {weak[0].force_n:g} N, "
+            f"and {item.name} is to be held with {step.force_n:g} N"
+        )
+    needed = GRAVITY * item.inertia.mass / (2.0 * holding.friction * (2 if step.hand == "both" else 1))
+    if needed > step.force_n:
+        return (
+            f"{item.name} of {item.inertia.mass:g} kg is too heavy: each finger would have to press with "
+            f"{needed:.0f} N at a friction of {holding.friction:g}, it does with {step.force_n:g} N"
+        )
+    for pose, where in pick.places:
+        radius = float(np.linalg.norm(item.vertices, axis=1).max()) + NEAR_M
+        reasons = [find_out_of_reach(body, gripper.tool, pose[:3, 3], radius) for gripper in grippers]
+        if all(reasons):
+            return f"{item.name} is out of reach {where}: {reasons[0]}"
+    return None
+
+
+def describe_weight(body: WholeBody, holding: Holding, name: str, q: Float[np.ndarray, "n"]) -> str | None:
+    """Return which joint cannot hold an object that one hand carries; None where all can."""
+    hold = holding.held.get(name)
+    if hold is None or len(hold.grippers) > 1:
+        return None
+    line = describe_overload(holding.placed, q[: holding.robot.n], tuple(foot.link for foot in body.planted))
+    return (
+        None if line is None else f"{name} of {holding.items[name].body.inertia.mass:g} kg is too heavy there: {line}"
+    )
+
+
+def _find_on_top(body: WholeBody, holding: Holding, pick: Pick) -> str:
+    """Return the pieces and objects that lie on the object, joined by a word; empty where none does."""
+    own, pose = pick.item.body, pick.places[0][0]
+    vertices = own.vertices @ pose[:3, :3].T + pose[:3, 3]
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    boxes = [(piece.name, piece.lower, piece.upper) for piece in body.scene.pieces]
+    for name, other in holding.resting.items():
+        if name != own.name:
+            corners = holding.items[name].body.vertices @ other[:3, :3].T + other[:3, 3]
+            boxes.append((name, corners.min(axis=0), corners.max(axis=0)))
+    names = []
+    for name, lower, upper in boxes:
+        overlaps = np.all(lower[:2] < high[:2] - 1e-3) and np.all(upper[:2] > low[:2] + 1e-3)
+        is_above = lower[2] > low[2] + ON_TOP_SHARE * (high[2] - low[2])
+        if overlaps and is_above and abs(lower[2] - high[2]) < ON_TOP_M:
+            names.append(name)
+    return " and ".join(names)
+
+
+def _find_inside(
+    body: WholeBody, holding: Holding, name: str, pose: Float[np.ndarray, "4 4"]
+) -> tuple[str, float] | None:
+    """Return the piece in which an object would be deepest where it is put, and how deep [m]; None where in none."""
+    placed = with_objects(holding.robot, [PlacedObject(holding.items[name].body, None, pose)])
+    own = CoalSolid.of_body(placed.bodies[-1])
+    below = holding.find_rest(name, pose)[1]
+    query, worst = DistanceQuery(), None
+    for piece in body.scene.pieces:
+        if np.any(piece.lower > own.vertices.max(axis=0)) or np.any(piece.upper < own.vertices.min(axis=0)):
+            continue
+        solid = CoalSolid.of_piece(piece)
+        distances, _ = query.closest([own.convex], np.eye(3)[None], np.zeros((1, 3)), [solid.convex])
+        depth = -float(distances[0])
+        if depth > (INSIDE_M if piece.name in below else 1e-6) and (worst is None or depth > worst[1]):
+            worst = piece.name, depth
+    return worst

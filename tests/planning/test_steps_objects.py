@@ -1,0 +1,185 @@
+"""Steps that take objects: a peg out of a hole into another, what is refused, replay and physics."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.attack.gantry_files import pick_place_request, write_gantry
+from service.errors import RequestError, ResultError
+from service.planner import plan
+from service.replay.replay import verify_result
+from service.request.file import parse_request
+from service.result.output import write_result
+from service.simulation.run import execute_folder
+from service.simulation.verdict import judge
+
+FROM, INTO, WIDTH, CLEARANCE, DEPTH, TOP = (0.1, -0.2), (-0.1, 0.2), 0.04, 0.002, 0.06, 0.4
+UP = DEPTH + 0.03
+
+
+def make_hole(name: str, at: tuple[float, float]) -> list[dict[str, Any]]:
+    """Four walls about a hole on the table."""
+    width, rim = WIDTH + CLEARANCE, 0.04
+    off = 0.5 * (width + rim)
+    walls = {
+        "left": ([off, 0.0], [rim, width + 2 * rim]),
+        "right": ([-off, 0.0], [rim, width + 2 * rim]),
+        "far": ([0.0, off], [width, rim]),
+        "near": ([0.0, -off], [width, rim]),
+    }
+    return [
+        {
+            "type": "box",
+            "name": f"{name} {side}",
+            "size": [*size, DEPTH],
+            "position": [at[0] + shift[0], at[1] + shift[1], TOP + 0.5 * DEPTH],
+        }
+        for side, (shift, size) in walls.items()
+    ]
+
+
+def peg_request(urdf: Path, **changes: Any) -> dict[str, Any]:
+    """A peg out of a hole into another; ``changes`` are fields of steps by name."""
+    holes = [*make_hole("from", FROM), *make_hole("into", INTO)]
+    peg = {"name": "peg", "size": [WIDTH, WIDTH, 0.14], "position": [*FROM, TOP + 0.07], "mass_kg": 0.4}
+    request = pick_place_request(urdf, block=peg, obstacles=holes, object="peg")
+    fit = {"object": "peg", "clearance_m": CLEARANCE, "chamfer_m": 0.001, "depth_m": UP}
+    over = {"link": "peg", "position": [*INTO, TOP + 0.07 + UP], "quaternion_wxyz": [1, 0, 0, 0]}
+    names = ("left", "right", "far", "near")
+    steps: list[dict[str, Any]] = [
+        {"name": "take", "grasp": {"object": "peg", "force_n": 40.0}},
+        {"name": "out", "withdraw": {**fit, "axis": [0, 0, 1], "pieces": [f"from {side}" for side in names]}},
+        {"name": "across", "move": {"poses": [over]}},
+        {
+            "name": "in",
+            "insert": {**fit, "axis": [0, 0, -1], "at": [*INTO, TOP], "pieces": [f"into {side}" for side in names]},
+        },
+        {"name": "let go", "release": {"object": "peg"}},
+    ]
+    for step in steps:
+        kind = next(key for key in step if key != "name")
+        step[kind] |= changes.get(step["name"].replace(" ", "_"), {})
+    request["task"] = {"steps": steps}
+    return request
+
+
+@pytest.fixture(scope="module", name="urdf")
+def _urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_gantry(tmp_path_factory.mktemp("gantry"))
+
+
+@pytest.fixture(scope="module", name="folder")
+def _folder(urdf: Path) -> Path:
+    result = plan(parse_request(peg_request(urdf)))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    return write_result(result, urdf.parent / "out").folder
+
+
+def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> None:
+    assert verify_result(folder)["verdict"] == "CERTIFIED"
+    checks = {
+        check["name"]: check for check in json.loads((folder / "result.json").read_text())["certificate"]["checks"]
+    }
+    assert checks["way.in.peg"]["limit"] == 1e-3
+    assert checks["keep.in.peg.world"]["limit"] == pytest.approx(0.002)  # chamfer and half of the clearance
+    assert checks["keep.in.peg.world.rotation"]["limit"] == pytest.approx(0.002 / (0.6 * 0.042))
+    assert {"rests.take: close.peg", "grip.across.peg", "rests.let go: open.peg"} <= checks.keys()
+
+
+def test_the_peg_is_in_the_other_hole_in_physics(folder: Path) -> None:
+    pytest.importorskip("mujoco")
+    (run,) = execute_folder(folder)
+    judged = judge(run.reference, run.record, run.model.physics)
+    assert (judged.verdict, judged.reasons) == ("DONE", ())
+    track = run.record.objects["peg"]
+    np.testing.assert_allclose(track[-1, :3], [*INTO, TOP + 0.07], atol=3e-3)
+    assert track[:, 2].max() > TOP + DEPTH + 0.07  # it was out of the hole in between
+
+
+def _deeper(data: dict[str, Any]) -> None:
+    data["request"]["task"]["steps"][3]["insert"]["depth_m"] -= 0.02
+
+
+def _wedge(data: dict[str, Any]) -> None:
+    data["request"]["task"]["steps"][3]["insert"]["at"][0] += 0.004
+
+
+def _hold(data: dict[str, Any]) -> None:
+    data["phases"][-1]["carriers"][0] = copy.deepcopy(data["phases"][4]["carriers"][0])
+
+
+@pytest.mark.parametrize("edit", [_deeper, _wedge, _hold])
+def test_a_changed_record_is_not_believed(folder: Path, tmp_path: Path, edit: Any) -> None:
+    data = json.loads((folder / "result.json").read_text())
+    edit(data)
+    for path in folder.rglob("*"):
+        if path.is_file() and path.name not in ("result.json", "manifest.json"):
+            copied = tmp_path / path.relative_to(folder)
+            copied.parent.mkdir(parents=True, exist_ok=True)
+            copied.write_bytes(path.read_bytes())
+    (tmp_path / "result.json").write_text(json.dumps(data))
+    try:
+        again = verify_result(tmp_path)
+    except ResultError:
+        return
+    assert again["verdict"] != "CERTIFIED"
+
+
+STUCK = {
+    "an axis off by 20 deg": ({"in": {"axis": [0.0, float(np.sin(np.deg2rad(20))), -float(np.cos(np.deg2rad(20)))]}},
+        "peg is turned by 20.0 deg against the axis; beyond 4.5 deg it wedges at a friction of 0.6"),
+    "a hole beside the peg": ({"in": {"at": [INTO[0] + 0.01, INTO[1], TOP]}},
+        "peg is 10.0 mm beside the hole's axis; within 2.0 mm (chamfer_m and half of clearance_m) it finds into it"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STUCK)
+def test_what_does_not_fit_ends_the_plan_with_a_sentence(urdf: Path, case: str) -> None:
+    changes, sentence = STUCK[case]
+    result = plan(parse_request(peg_request(urdf, **changes)))
+    assert result.verdict.value == "NOT_FOUND"
+    assert f"step 'in': {sentence}" in result.explanation
+
+
+REFUSED = {
+    "put before it is taken": ([{"release": {"object": "peg"}}], "no hand holds 'peg' then; grasp it before"),
+    "moved after it is put": (
+        [{"grasp": {"object": "peg"}}, {"release": {"object": "peg"}},
+         {"move": {"frame": "peg", "by": {"translation": [0, 0, 0.1]}, "along": "line"}}],
+        "no hand holds 'peg' then; grasp it before",
+    ),
+    "taken twice": ([{"grasp": {"object": "peg"}}, {"grasp": {"object": "peg"}}], "'peg' is in a hand already"),
+    "unknown": ([{"grasp": {"object": "cup"}}], "unknown object 'cup'; the scene has peg"),
+    "no such hand": ([{"grasp": {"object": "peg", "hand": "left"}}], "left needs a hand with two fingers that slide"),
+    "two hands": ([{"grasp": {"object": "peg", "hand": "both"}}], "both needs two hands with two fingers that slide"),
+    "no such grasp": ([{"grasp": {"object": "peg", "grasp": 3}}], "peg has no grasps, numbered from 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_steps_that_need_what_is_not_held_are_refused(urdf: Path, case: str) -> None:
+    steps, sentence = REFUSED[case]
+    request = peg_request(urdf)
+    request["task"] = {"steps": steps}
+    with pytest.raises(RequestError) as error:
+        plan(parse_request(request))
+    assert sentence in str(error.value)
+
+
+def test_a_grasp_that_the_gripper_cannot_make_is_impossible(urdf: Path) -> None:
+    request = peg_request(urdf)
+    request["scene"]["objects"][0]["size"] = [0.12, 0.12, 0.14]
+    request["scene"]["obstacles"] = request["scene"]["obstacles"][:1]
+    for step in request["task"]["steps"]:
+        for fit in ("insert", "withdraw"):
+            if fit in step:
+                step[fit]["pieces"] = []
+    result = plan(parse_request(request))
+    assert result.verdict.value == "INFEASIBLE"
+    assert "step 'take': peg is 120 mm wide; the right gripper opens to 88 mm" in result.explanation
