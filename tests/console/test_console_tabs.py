@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from service.cli.console.orders import PlanOrder
-from service.cli.console.sessions import Session
+from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.errors import RequestError
 
@@ -34,8 +34,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def session(**hits: Any) -> Session:
-    made = Session("key", "forgery", None)  # type: ignore[arg-type]
+def session(**hits: Any) -> OperatorSession:
+    made = OperatorSession("key", "forgery", None)  # type: ignore[arg-type]
     made.hits.update({3: HIT, 4: {**HIT, "searched": "panel", "hit": 4}})
     return made
 

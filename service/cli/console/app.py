@@ -17,7 +17,7 @@ from starlette.websockets import WebSocket
 from service.cli.console.bridge import serve_page
 from service.cli.console.guard import Guard
 from service.cli.console.orders import Console
-from service.cli.console.sessions import COOKIE, Session
+from service.cli.console.sessions import COOKIE, OperatorSession
 from service.cli.console.settings import PROGRAM, ConsoleSettings, page_version
 from service.client import PlannerError
 from service.errors import RequestError
@@ -94,7 +94,7 @@ def make_app(settings: ConsoleSettings) -> Starlette:
     return Starlette(routes=routes, middleware=[Middleware(Guard)], lifespan=live)
 
 
-def _welcome(session: Session, is_new: bool) -> Response:
+def _welcome(session: OperatorSession, is_new: bool) -> Response:
     response = JSONResponse({"forgery": session.forgery, "version": page_version()})
     if is_new:
         response.set_cookie(COOKIE, session.key, httponly=True, samesite="strict")

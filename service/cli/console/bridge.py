@@ -11,7 +11,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from service.cli.console.orders import ORDERS, Console
-from service.cli.console.sessions import COOKIE, Session
+from service.cli.console.sessions import COOKIE, OperatorSession
 from service.cli.console.settings import page_version
 from service.client import PlannerError
 from service.errors import RequestError, ServiceError, shown, would_do
@@ -67,7 +67,7 @@ async def serve_page(console: Console, websocket: WebSocket) -> None:
         await asyncio.gather(sender, *answers, return_exceptions=True)
 
 
-async def _receive_hello(console: Console, websocket: WebSocket) -> Session:
+async def _receive_hello(console: Console, websocket: WebSocket) -> OperatorSession:
     message = json.loads(await websocket.receive_text())
     hello = message.get("hello") if isinstance(message, dict) else None
     if not isinstance(hello, dict):
@@ -87,7 +87,9 @@ async def _send(websocket: WebSocket, queue: asyncio.Queue[dict[str, Any]]) -> N
         await websocket.send_json(await queue.get())
 
 
-async def _answer(console: Console, session: Session, message: Any, queue: asyncio.Queue[dict[str, Any]]) -> None:
+async def _answer(
+    console: Console, session: OperatorSession, message: Any, queue: asyncio.Queue[dict[str, Any]]
+) -> None:
     number = _read_id(message)
     try:
         result = await _carry_out(console, session, message)
@@ -104,7 +106,7 @@ async def _answer(console: Console, session: Session, message: Any, queue: async
         queue.put_nowait({"id": number, "result": result})
 
 
-async def _carry_out(console: Console, session: Session, message: Mapping[str, Any]) -> Any:
+async def _carry_out(console: Console, session: OperatorSession, message: Mapping[str, Any]) -> Any:
     """Carry an order out and return its result, JSON-ready.
 
     Raises:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.cli.console.judging import judge_plan
-from service.cli.console.sessions import OpenedPlan, Session
+from service.cli.console.sessions import OpenedPlan, OperatorSession
 from service.client import AsyncPlannerClient, PlannerError
 from service.client.answers import read_verdict
 from service.errors import RequestError, ServiceError
@@ -46,7 +46,7 @@ class SeenPlans:
         return rows
 
 
-async def open_plan(session: Session, plan_id: str) -> dict[str, Any]:
+async def open_plan(session: OperatorSession, plan_id: str) -> dict[str, Any]:
     """Fetch a plan with its page, keep both as what the operator sees, and return what the page shows.
 
     Raises:
@@ -68,7 +68,7 @@ async def open_plan(session: Session, plan_id: str) -> dict[str, Any]:
 
 
 async def review_plan(
-    session: Session, plan_id: str, is_accepted: bool, shown: tuple[str, str, str], comment: str, despite: str
+    session: OperatorSession, plan_id: str, is_accepted: bool, shown: tuple[str, str, str], comment: str, despite: str
 ) -> dict[str, Any]:
     """Store a decision about exactly what the page showed, and return the plan's row.
 

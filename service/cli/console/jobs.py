@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
 from typing import Any
 
-from service.cli.console.sessions import Session
+from service.cli.console.sessions import OperatorSession
 from service.client import PlannerError
 from service.client.answers import check_result, read_verdict
 from service.errors import RequestError, ServiceError
@@ -23,7 +23,9 @@ TELL_EVERY_S = 0.1
 RUNNING = ("uploading", "queued", "planning")
 
 
-def start_plan(session: Session, task: str, request: PlanRequest, on_accepted: Callable[[str], None]) -> dict[str, Any]:
+def start_plan(
+    session: OperatorSession, task: str, request: PlanRequest, on_accepted: Callable[[str], None]
+) -> dict[str, Any]:
     """Begin a plan, and return it as pages draw it; what becomes of it is told to all pages of the session.
 
     Args:
@@ -47,7 +49,7 @@ def start_plan(session: Session, task: str, request: PlanRequest, on_accepted: C
     return dict(job)
 
 
-def cancel_plan(session: Session, number: int) -> None:
+def cancel_plan(session: OperatorSession, number: int) -> None:
     """Stop a plan, here and at the server.
 
     Raises:
@@ -60,7 +62,9 @@ def cancel_plan(session: Session, number: int) -> None:
         task.cancel()
 
 
-async def _follow(session: Session, number: int, request: PlanRequest, on_accepted: Callable[[str], None]) -> None:
+async def _follow(
+    session: OperatorSession, number: int, request: PlanRequest, on_accepted: Callable[[str], None]
+) -> None:
     job = session.jobs[number]
 
     def tell(**changes: Any) -> None:

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass as checked
 from service.cli.console.inbox import SeenPlans, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
-from service.cli.console.sessions import Session, Sessions
+from service.cli.console.sessions import OperatorSession, Sessions
 from service.cli.console.settings import ConsoleSettings
 from service.cli.console.tabs import list_tabs, make_request
 from service.request.fields import SECTION, Name, PlainData, Point, Section
@@ -113,9 +113,9 @@ class PageOrder(Generic[T]):
     """An order with its arguments and what carries it out; the result is JSON-ready."""
 
     arguments: type[T]
-    act: Callable[[Console, Session, T], Awaitable[Any]]
+    act: Callable[[Console, OperatorSession, T], Awaitable[Any]]
 
-    async def carry_out(self, console: Console, session: Session, arguments: Mapping[str, Any]) -> Any:
+    async def carry_out(self, console: Console, session: OperatorSession, arguments: Mapping[str, Any]) -> Any:
         """Check the arguments and carry the order out.
 
         Raises:
@@ -125,22 +125,22 @@ class PageOrder(Generic[T]):
         return await self.act(console, session, parse_section(self.arguments, arguments))
 
 
-async def _inbox(console: Console, session: Session, order: Nothing) -> Any:
+async def _inbox(console: Console, session: OperatorSession, order: Nothing) -> Any:
     return await console.inbox.list_plans(session.client)
 
 
-async def _open(console: Console, session: Session, order: OpenOrder) -> Any:
+async def _open(console: Console, session: OperatorSession, order: OpenOrder) -> Any:
     shown = await open_plan(session, order.plan_id)
     console.inbox.add(order.plan_id)
     return shown
 
 
-async def _review(console: Console, session: Session, order: ReviewOrder) -> Any:
+async def _review(console: Console, session: OperatorSession, order: ReviewOrder) -> Any:
     hashes = order.trajectory_sha256, order.certificate_sha256, order.page_sha256
     return await review_plan(session, order.plan_id, order.accept, hashes, order.comment, order.despite)
 
 
-async def _tabs(console: Console, session: Session, order: Nothing) -> Any:
+async def _tabs(console: Console, session: OperatorSession, order: Nothing) -> Any:
     robots = await session.client.robots()
     return {
         "tabs": list_tabs(),
@@ -149,21 +149,21 @@ async def _tabs(console: Console, session: Session, order: Nothing) -> Any:
     }
 
 
-async def _scan(console: Console, session: Session, order: ScanOrder) -> Any:
+async def _scan(console: Console, session: OperatorSession, order: ScanOrder) -> Any:
     return await show_scan(console.settings.scans, order.scan, order.robot, order.posture)
 
 
-async def _detect(console: Console, session: Session, order: DetectOrder) -> Any:
+async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
     clouds = await upload_scan(session, console.settings.scans, order.scan, order.robot, order.posture)
     return await detect_at(session, clouds, order.at, order.kinds)
 
 
-async def _plan(console: Console, session: Session, order: PlanOrder) -> Any:
+async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
     request = make_request(session, console.settings.scans, order)
     return start_plan(session, order.task, request, console.inbox.add)
 
 
-async def _cancel(console: Console, session: Session, order: CancelOrder) -> Any:
+async def _cancel(console: Console, session: OperatorSession, order: CancelOrder) -> Any:
     cancel_plan(session, order.job)
     return {}
 

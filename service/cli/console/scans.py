@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from service.cli.console.sessions import Session
+from service.cli.console.sessions import OperatorSession
 from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
 from service.proto.planner.v1.request_pb2 import CloudFile, Start
@@ -59,7 +59,7 @@ async def show_scan(folders: Sequence[Path], name: str, robot: str, posture: str
 
 
 async def detect_at(
-    session: Session,
+    session: OperatorSession,
     clouds: CloudsSpec,
     at: tuple[float, float, float],
     kinds: Sequence[str],
@@ -95,7 +95,7 @@ async def detect_at(
 
 
 async def upload_scan(
-    session: Session, folders: Sequence[Path], name: str, robot: str, posture: str | None
+    session: OperatorSession, folders: Sequence[Path], name: str, robot: str, posture: str | None
 ) -> CloudsSpec:
     """Upload a scan, and return it as a cloud with the robot that stood in it, whose own points are left out.
 

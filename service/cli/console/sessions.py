@@ -35,7 +35,7 @@ class OpenedPlan:
 
 
 @dataclass
-class Session:
+class OperatorSession:
     """An operator at one or several pages.
 
     Attributes:
@@ -83,9 +83,9 @@ class Sessions:
 
     def __init__(self, settings: ConsoleSettings) -> None:
         self._settings = settings
-        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._sessions: OrderedDict[str, OperatorSession] = OrderedDict()
 
-    def find(self, key: str | None) -> Session | None:
+    def find(self, key: str | None) -> OperatorSession | None:
         """Return the session of a cookie; None if it has ended."""
         session = self._sessions.get(key or "")
         if session is None or time.monotonic() - session.last_used > IDLE_S:
@@ -94,7 +94,7 @@ class Sessions:
         self._sessions.move_to_end(session.key)
         return session
 
-    async def open(self, token: str | None) -> Session:
+    async def open(self, token: str | None) -> OperatorSession:
         """Begin a session of the holder of a token, or of an anonymous operator, and return it.
 
         Raises:
@@ -115,14 +115,14 @@ class Sessions:
         except BaseException:
             await client.close()
             raise
-        session = Session(secrets.token_urlsafe(32), secrets.token_urlsafe(32), client)
+        session = OperatorSession(secrets.token_urlsafe(32), secrets.token_urlsafe(32), client)
         self._sessions[session.key] = session
         while len(self._sessions) > MOST_SESSIONS:
             _, oldest = self._sessions.popitem(last=False)
             await oldest.close()
         return session
 
-    async def end(self, session: Session) -> None:
+    async def end(self, session: OperatorSession) -> None:
         """End a session."""
         self._sessions.pop(session.key, None)
         await session.close()

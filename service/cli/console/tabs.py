@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from service.cli.console.scans import find_scan
-from service.cli.console.sessions import Session
+from service.cli.console.sessions import OperatorSession
 from service.errors import RequestError
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
@@ -40,7 +40,7 @@ def list_tabs() -> list[dict[str, Any]]:
     return tabs
 
 
-def make_request(session: Session, scans: Sequence[Path], order: PlanFields) -> PlanRequest:
+def make_request(session: OperatorSession, scans: Sequence[Path], order: PlanFields) -> PlanRequest:
     """Return the request of a tab.
 
     Parameters that the accepted object gives (``detect`` and ``value`` of a task file) are read off it unless the
