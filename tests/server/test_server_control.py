@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.server.operation.checks import check_approval, check_plan, check_scan_age, find_scan_age_s
-from service.server.operation.control import Control, Lease
+from service.server.operation.control import Lease, RobotControl
 from service.store import Decision, PlanState, Review, Store
 from service.trust.rpc import Refusal
 
@@ -23,7 +23,7 @@ class Alone:
 
     def __init__(self) -> None:
         self.left: list[Lease] = []
-        self.control = Control(lambda: None, self.left.append)
+        self.control = RobotControl(lambda: None, self.left.append)
 
 
 def test_one_operator_has_control_until_another_takes_it_over_explicitly() -> None:

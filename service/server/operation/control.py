@@ -37,7 +37,7 @@ class Lease:
         return f"{self.name} ({self.station})" if self.station else self.name
 
 
-class Control:
+class RobotControl:
     """The lease of a robot, the presence of its holder, and the revision.
 
     The revision is raised by everything that an operator's next order may depend on. An order names the revision that

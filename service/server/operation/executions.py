@@ -23,7 +23,7 @@ from service.server.operation.checks import (
     find_scan_age_s,
     read_result_json,
 )
-from service.server.operation.control import Control, Lease, refuse
+from service.server.operation.control import Lease, RobotControl, refuse
 from service.server.plan_files import read_files
 from service.server.refusals import refuse_invalid
 from service.store import Store
@@ -81,7 +81,7 @@ class ExecutionHandlers:
         self._store = store
         self._numbers = dict.fromkeys(PARTS, 0)  # of the last change of each part
         self._changed = asyncio.Event()
-        self._control = Control(lambda: self._note("control"), self._leave_alone)
+        self._control = RobotControl(lambda: self._note("control"), self._leave_alone)
         self._robot = RobotProcess(settings.robot, settings.when_alone, self._take) if settings.robot else None
         self._key: tuple[Any, ...] = ()
         self._tasks: set[asyncio.Task[None]] = set()
