@@ -41,10 +41,11 @@ export class Link {
     await this.enter(reply);
   }
 
+  // End the session; the page is loaded again afterwards, and keeps nothing of it.
   async logOut(): Promise<void> {
-    await fetch("/logout", { method: "POST" });
-    this.tell("login", "you have logged out");
+    this.state = "login";
     this.socket?.close();
+    await fetch("/logout", { method: "POST" });
   }
 
   private async enter(reply: Response): Promise<void> {
