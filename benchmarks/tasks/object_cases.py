@@ -151,7 +151,7 @@ def draw_block(place: Place, rng: np.random.Generator) -> Data:
     """Return a block or a cylinder that is put elsewhere on a bench."""
     top, first, second = place.draw(rng)
     width, height = float(rng.uniform(0.03, 0.06)), float(rng.uniform(0.06, 0.14))
-    shape = {"type": "box", "size": [width, width, height]}
+    shape: Data = {"type": "box", "size": [width, width, height]}
     if rng.random() < 0.5:
         shape = {"type": "cylinder", "radius": 0.5 * width, "height": height}
     item = {**shape, "mass_kg": float(rng.uniform(0.2, 1.5)), "position": [*first, top + 0.5 * height]}

@@ -93,7 +93,7 @@ def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
         }
         return {"screw": {**_list_fields(settings), **turn}}
     axes = "world" if key.isupper() else "hand"
-    shift = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
+    shift: dict[str, Any] = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
     return {"move": {**_list_fields(settings), "by": shift, "along": "line"}}
 
 
