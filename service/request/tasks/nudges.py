@@ -93,8 +93,8 @@ def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
         }
         return {"screw": {**_list_fields(settings), **turn}}
     axes = "world" if key.isupper() else "hand"
-    shift: dict[str, Any] = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
-    return {"move": {**_list_fields(settings), "by": shift, "along": "line"}}
+    turned: dict[str, Any] = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
+    return {"move": {**_list_fields(settings), "by": turned, "along": "line"}}
 
 
 def _list_fields(settings: NudgeSettings) -> dict[str, Any]:
