@@ -14,7 +14,7 @@ DOCS_READY := $(DOCS_VENV)/.ready
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
-# Two processes that take a file at a time, since its tests share plans and servers; one thread each, or their linear
+# Three processes that take a file at a time, since its tests share plans and servers; one thread each, or their linear
 # algebra fights for the cores.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
