@@ -53,7 +53,7 @@ class Extent(enum.Enum):
 
 SHARE = {Extent.SHORT: 0.0, Extent.SAMPLE: 0.25, Extent.LONG: 1.0}  # of the attacks that are not in the short version
 FIELDS = {
-    Extent.SHORT: 8,
+    Extent.SHORT: 4,
     Extent.SAMPLE: 3,
     Extent.LONG: None,
 }  # kinds of fields of a base and a group that are falsified

@@ -43,7 +43,7 @@ STRANGERS = (
     "resume",
     "compliant",
 )
-QUICK = ("arm", "reach", "valve", "carry", "drawer")
+QUICK = ("arm", "reach", "carry")
 REPLANNED = ("drawer", "door", "lever", "stair", "chair", "carry")
 HAND_POSE = {"link": "l_hand", "position": [0.55, 0.25, 1.2], "position_tolerance_m": 0.05}
 

@@ -49,24 +49,15 @@ LONG_BASES = (
 SHORT = (
     "turn backwards",
     "lever turned the other way",
-    "turn six times as far",
     "valve of the request moved by 4 mm",
     "circle moved by 4 mm",
-    "origin of the wheel moved by 4 mm",
     "angle of the wheel turned round",
     "allowance of the rim for the hub",
     "phases merged into one",
-    "a link in the air called planted",
-    "points of contacts listed twice",
-    "normals tilted",
     "region enlarged with its forces",
-    "region margin negative",
     "a kept contact creeps",
-    "the hand never reaches the rail",
-    "support polygon of soles on two levels",
     "contacts that change while the robot moves",
     "friction of the request lowered",
-    "a stone that is not there",
     "the rod is off the face during the move",
     "the hand lets go half way",
     "the object moves while the hand rests",
@@ -76,6 +67,30 @@ SHORT = (
     "hands that slip",
     "servos that give way less",
 )
+LONG = (
+    "a place moved by 20 mm",
+    "an object of twenty times the mass",
+    "an object carried by the column",
+    "fingers that do not slip",
+    "half of the object s mass",
+    "kept pose removed",
+    "kept pose relative to itself",
+    "kept pose demanded elsewhere",
+    "carried beam of 60 kg",
+    "floor of the request removed",
+    "floor deleted",
+    "goal of the other hand",
+    "goal becomes a posture",
+    "start posture of the request changed",
+    "feet removed from contacts",
+    "feet and balance removed",
+    "balance margin lowered",
+    "target moved by 12 mm",
+    "target of another link",
+    "pose goal moved by 30 cm",
+    "support polygon removed",
+    "sole and polygon enlarged",
+)  # of quick bases: the short version has another lie about the same values
 
 
 class Level(enum.Enum):
@@ -243,7 +258,9 @@ class Edit:
             label = f"{base}: {self.name}" + ("" if self.level is Level.RAW else f" [{self.level.value}]")
             kind = "harmless" if self.is_harmless else "folders"
             if self.asks_verifier:
-                is_short = base == self.bases[0] and (base not in LONG_BASES or self.name in SHORT)
+                is_short = base == self.bases[0] and (
+                    self.name in SHORT if base in LONG_BASES else self.name not in LONG
+                )
                 found.append(Attack(kind, label, partial(self.run, base), is_short))
             if self.asks_stranger:
                 found.append(Attack("stranger", label, partial(self.run, base, judge=judges.ask_stranger), False))

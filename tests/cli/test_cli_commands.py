@@ -7,7 +7,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -242,80 +243,108 @@ def test_a_wrong_scene_argument_is_one_line(tmp_path: Path, arguments: tuple[str
     assert not (tmp_path / "scene.json").exists()
 
 
-SLOW_PLANNER = """
-import sys, time, types
+PLANNERS = """
+import json, os, sys, time, types
 from dataclasses import replace
-from importlib.metadata import version
 sys.path.insert(0, {support!r})
+import service.cli.plan
 import service.cli.run
-service.cli.run.SILENT_S = {silent_s}
-from small_plan import small_plan
-from service.result.result import Verdict
-made = small_plan()
-def plan(request, on_progress, should_stop, around=None):
-    on_progress("waiting", 0.5)
-    while {waits} or not should_stop():
-        time.sleep(0.01)
-    return replace(made, verdict=Verdict({verdict!r}), explanation=("cancelled during 'waiting'",))
-sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
-sys.argv = ["scopt", "plan", {request!r}, "--out", {out!r}, "--json"]
 from service.cli.app import main
-main()
+from service.result.result import Verdict
+from small_plan import small_plan
+made = small_plan()
+
+def begin(silent_s, waits, verdict, request, out, stdout, stderr):
+    for number, name in ((1, stdout), (2, stderr)):
+        os.dup2(os.open(name, os.O_CREAT | os.O_WRONLY), number)
+    service.cli.run.SILENT_S = silent_s
+    def plan(request, on_progress, should_stop, around=None):
+        on_progress("waiting", 0.5)
+        while waits or not should_stop():
+            time.sleep(0.01)
+        return replace(made, verdict=Verdict(verdict), explanation=("cancelled during 'waiting'",))
+    sys.modules["service.planner"] = types.SimpleNamespace(plan=plan)
+    sys.argv = ["scopt", "plan", request, "--out", out, "--json"]
+    main()
+
+for line in sys.stdin:
+    process = os.fork()
+    if process == 0:
+        begin(**json.loads(line))
+        os._exit(0)
+    print(process, flush=True)
+    print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
 """
+Interrupt = Callable[..., tuple[int, dict[str, Any]]]
 
 
-def _interrupted(
-    tmp_path: Path, times: int, *, is_silent: bool = False, verdict: str = "CANCELLED"
-) -> tuple[int, dict[str, Any]]:
-    """Return exit code and JSON of a plan that receives Ctrl-C that many times; silent work does not ask for it."""
-    program = SLOW_PLANNER.format(
-        support=str(ROOT / "tests" / "support" / "results"),
-        silent_s=0.2 if is_silent else 600.0,  # until work that did not hear is interrupted
-        waits=times > 1 or is_silent,
-        request=str(REQUEST),
-        out=str(tmp_path / "plan"),
-        verdict=verdict,
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    assert process.stderr is not None
-    for word in ("waiting", *["Ctrl-C again"] * (times - 1)):
-        while word not in (line := process.stderr.readline()):
-            assert line, "it has ended"
-        os.kill(process.pid, signal.SIGINT)
-    stdout, _ = process.communicate(timeout=240)
-    return process.returncode, json.loads(stdout)
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Interrupt]:
+    """Exit code and JSON of a planning process that receives Ctrl-C; all are forked from one, which has imported."""
+    program = PLANNERS.format(support=str(ROOT / "tests" / "support" / "results"))
+    with subprocess.Popen(
+        [sys.executable, "-c", program], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        stdin, told = parent.stdin, parent.stdout
+        assert stdin is not None
+        assert told is not None
+
+        def interrupt(
+            out: Path, times: int, *, is_silent: bool = False, verdict: str = "CANCELLED"
+        ) -> tuple[int, dict[str, Any]]:
+            """Send Ctrl-C that many times; silent work does not ask for it."""
+            folder = tmp_path_factory.mktemp("streams")
+            case = {
+                "silent_s": 0.2 if is_silent else 600.0,  # until work that did not hear is interrupted
+                "waits": times > 1 or is_silent,
+                "verdict": verdict,
+                "request": str(REQUEST),
+                "out": str(out),
+                **{name: str(folder / name) for name in ("stdout", "stderr")},
+            }
+            stdin.write(json.dumps(case) + "\n")
+            stdin.flush()
+            process, stderr = int(told.readline()), folder / "stderr"
+            for word in ("waiting", *["Ctrl-C again"] * (times - 1)):
+                while not (stderr.is_file() and word in stderr.read_text()):
+                    assert Path(f"/proc/{process}").exists(), "it has ended"
+                    time.sleep(0.01)
+                os.kill(process, signal.SIGINT)
+            code = int(told.readline())
+            return code, json.loads((folder / "stdout").read_text())
+
+        yield interrupt
+        parent.kill()
 
 
-def test_ctrl_c_hands_over_the_best_so_far(tmp_path: Path) -> None:
-    code, data = _interrupted(tmp_path, 1)
+def test_ctrl_c_hands_over_the_best_so_far(interrupted: Interrupt, tmp_path: Path) -> None:
+    code, data = interrupted(tmp_path / "plan", 1)
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert (tmp_path / "plan" / "result.json").is_file()
     assert [path.name for path in tmp_path.iterdir()] == ["plan"]
 
 
 @pytest.mark.parametrize("verdict", ["CANCELLED", "TIME_LIMIT"])  # the plan may be about to end by itself
-def test_ctrl_c_keeps_an_earlier_result(tmp_path: Path, verdict: str) -> None:
+def test_ctrl_c_keeps_an_earlier_result(interrupted: Interrupt, tmp_path: Path, verdict: str) -> None:
     from small_plan import small_plan
 
     from service import write_result
 
     write_result(small_plan(), tmp_path / "plan")
     before = {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()}
-    code, data = _interrupted(tmp_path, 1, verdict=verdict)
+    code, data = interrupted(tmp_path / "plan", 1, verdict=verdict)
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert "result" not in data
     assert {path: path.read_bytes() for path in (tmp_path / "plan").rglob("*") if path.is_file()} == before
 
 
-def test_ctrl_c_ends_work_that_does_not_ask_for_it(tmp_path: Path) -> None:
-    code, data = _interrupted(tmp_path, 1, is_silent=True)
+def test_ctrl_c_ends_work_that_does_not_ask_for_it(interrupted: Interrupt, tmp_path: Path) -> None:
+    code, data = interrupted(tmp_path / "plan", 1, is_silent=True)
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_twice_stops_at_once_and_writes_nothing(tmp_path: Path) -> None:
-    code, data = _interrupted(tmp_path, 2)
+def test_ctrl_c_twice_stops_at_once_and_writes_nothing(interrupted: Interrupt, tmp_path: Path) -> None:
+    code, data = interrupted(tmp_path / "plan", 2)
     assert (code, data["verdict"]) == (130, "CANCELLED")
     assert list(tmp_path.iterdir()) == []

@@ -10,10 +10,10 @@ from service.executor import LocalPool, WorkerDied
 
 
 def test_cancels_crash_no_worker_and_leave_the_next_plan_as_it_is() -> None:
-    report = run(8, seed=1, is_short=True)
+    report = run(4, seed=1, is_short=True)
     assert report.crashes == []
     assert report.wrong == []
-    assert report.n_cancels == 8
+    assert report.n_cancels == 4
     assert set(report.outcomes) == {"scene", "detect", "plan", "verify"}
     assert report.n_compared == 1
 
