@@ -97,8 +97,8 @@ HOLDS: dict[str, dict[str, Any]] = {
     "fingers on a rim, right": {"robot": {"name": "atlas", "hand": "gripper"}, "task": wheel("grasp", -60.0)},
     "lever of a door, pushed": door(0),
     "lever of a door, pulled": door(7),
-    "push bar of a door": door(2),
-    "pull bar of a door": door(9),
+    "bar of a door, pushed": door(2),
+    "bar of a door, pulled": door(9),
 }
 LOWER, UPPER = 0.3, 0.6  # ends of the hands' friction
 LAST_WORDS = {  # of the names of two directions

@@ -20,6 +20,7 @@ from perception.simulate.scenes.scene import Truth
 
 _FLOOR = box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0))
 _BACK = box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))
+_SENSOR = Scanner(n_beams=541)
 _SPARSE = Scanner(n_beams=541, n_lines=60, sigma=0.015)
 
 
@@ -32,12 +33,12 @@ def _door(hinge_on: str, distance: float = 1.0, turned_deg: float = 0.0, **kind:
 
 def _view(door: Door, sensor: Scanner | DepthCamera | None = None, seed: int = 1) -> tuple[View, Truth]:
     placed = door.build()
-    cloud = scan([*placed.meshes, _FLOOR, _BACK], Pose(pitch=0.3), sensor or Scanner(), seed)
+    cloud = scan([*placed.meshes, _FLOOR, _BACK], Pose(pitch=0.3), sensor or _SENSOR, seed)
     return make_view(cloud), placed.truth[0]
 
 
 def _without(meshes: list[Mesh], seed: int = 1) -> list[Detection]:
-    return detect("door", make_view(scan([*meshes, _FLOOR], Pose(pitch=0.3), Scanner(), seed)))
+    return detect("door", make_view(scan([*meshes, _FLOOR], Pose(pitch=0.3), _SENSOR, seed)))
 
 
 def _normal(pose: np.ndarray, side: float) -> np.ndarray:
@@ -77,7 +78,7 @@ def _check(found: Detection, truth: Truth, scale: float = 1.0) -> None:
     ids=["left", "right push oblique", "left ajar", "right push ajar knob"],
 )
 def test_a_dense_scan_gives_leaf_hinge_handle_and_angle(door: Door) -> None:
-    view, truth = _view(door)
+    view, truth = _view(door, Scanner())
     found = detect("door", view)
     assert found[0].confidence >= 0.5
     assert not any(other.confidence >= 0.5 for other in found[1:])
