@@ -10,10 +10,10 @@ from google.protobuf import text_format
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from proto_lint import broken_rules
 
-from service.proto.planner.v1 import planner_pb2, pose_pb2, request_pb2, result_pb2
+from service.proto.planner.v1 import execution_pb2, planner_pb2, pose_pb2, request_pb2, result_pb2
 
 FOLDER = Path(__file__).parents[2] / "service" / "proto" / "planner" / "v1"
-_MODULES = (planner_pb2, pose_pb2, request_pb2, result_pb2)
+_MODULES = (execution_pb2, planner_pb2, pose_pb2, request_pb2, result_pb2)
 FILES = {Path(module.DESCRIPTOR.name).name: module.DESCRIPTOR for module in _MODULES}
 
 

@@ -91,7 +91,7 @@ def test_reading_anew_brings_changes_and_keeps_what_was_in_force_on_an_error(tmp
     path = _file(tmp_path, line)
     tokens = Tokens(path)
     path.write_text("- {name: ann}")
-    with pytest.raises(TrustError, match=r"\[0\]\.roles: expected a list of plan, review, admin"):
+    with pytest.raises(TrustError, match=r"\[0\]\.roles: expected a list of plan, review, execute, command, admin"):
         tokens.reload()
     assert tokens.find_token(old) is not None
     new, line = make_token("bob", [Role.PLAN])
@@ -111,7 +111,7 @@ def test_reading_anew_brings_changes_and_keeps_what_was_in_force_on_an_error(tmp
         ("- {name: '../x', roles: [plan], certificate: a}", "[0].name: expected 1 to 100 letters"),
         (
             "- {name: ann, roles: [root], certificate: a}",
-            "[0].roles: unknown role 'root'; expected plan, review, admin",
+            "[0].roles: unknown role 'root'; expected plan, review, execute, command, admin",
         ),
         ("- {name: ann, roles: [[plan]], certificate: a}", "[0].roles: unknown role ['plan']"),
         (
