@@ -26,6 +26,7 @@ class ReadingSettings:
         late_share: of late cycles in the last half second, from which the plan goes slowly.
         late_s: time between two readings at which the execution holds [s].
         stale_s: age of a reading, against the freshest one, at which it counts as old [s].
+        stale_periods: the same in periods; the longer one counts, since a slow robot's readings come late by a period.
         still_s: time for which a sensor may repeat itself to the last bit while the joints are moved [s].
         still_rad: travel of the commands in that time [rad, m].
         beyond: by which a joint may be outside its limits [rad, m].
@@ -41,6 +42,7 @@ class ReadingSettings:
     late_share: float = 0.1
     late_s: float = 0.1
     stale_s: float = 0.015
+    stale_periods: float = 3.0
     still_s: float = 0.06
     still_rad: float = 0.005
     beyond: float = 0.1
@@ -198,7 +200,7 @@ class ReadingCheck:
         step, offset = time - last, time - state.cycles * period
         fresh = max(state.fresh_s - DRIFT * period, offset)
         age = fresh - offset
-        if age > limits.stale_s:
+        if age > max(limits.stale_s, limits.stale_periods * period):
             bad["clock"] = f"readings are {1e3 * age:.0f} ms old, at {time:.3f} s"
         elif step <= 0.0 and state.cycles > 1 and "clock" not in state.bad_s:
             bad["clock"] = f"the driver's clock went from {last:.3f} s to {time:.3f} s"
