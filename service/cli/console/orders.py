@@ -9,7 +9,7 @@ from typing import Annotated, Any, Generic, TypeVar
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
-from service.cli.console.inbox import SeenPlans, open_plan, review_plan
+from service.cli.console.inbox import list_inbox, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession, Sessions
@@ -24,12 +24,11 @@ Hash = Annotated[str, Field(max_length=100)]
 
 
 class Console:
-    """What all pages of a console share: sessions and settings, and the plans that were asked for here."""
+    """What all pages of a console share."""
 
     def __init__(self, settings: ConsoleSettings) -> None:
         self.settings = settings
         self.sessions = Sessions(settings)
-        self.inbox = SeenPlans()
 
 
 @checked(config=SECTION)
@@ -126,13 +125,11 @@ class PageOrder(Generic[T]):
 
 
 async def _inbox(console: Console, session: OperatorSession, order: Nothing) -> Any:
-    return await console.inbox.list_plans(session.client)
+    return await list_inbox(session.client)
 
 
 async def _open(console: Console, session: OperatorSession, order: OpenOrder) -> Any:
-    shown = await open_plan(session, order.plan_id)
-    console.inbox.add(order.plan_id)
-    return shown
+    return await open_plan(session, order.plan_id)
 
 
 async def _review(console: Console, session: OperatorSession, order: ReviewOrder) -> Any:
@@ -160,7 +157,7 @@ async def _detect(console: Console, session: OperatorSession, order: DetectOrder
 
 async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
     request = make_request(session, console.settings.scans, order)
-    return start_plan(session, order.task, request, console.inbox.add)
+    return start_plan(session, order.task, request)
 
 
 async def _cancel(console: Console, session: OperatorSession, order: CancelOrder) -> Any:

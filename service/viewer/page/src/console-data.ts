@@ -5,7 +5,10 @@ import type { Standing } from "./standing";
 
 export interface Review { is_accepted: boolean; reviewer: string; comment: string; time: string }
 export interface Row {
-  plan_id: string; state: string; verdict: string; created: string; is_approved: boolean; needs_decision: boolean; reason: string;
+  plan_id: string; state: string; verdict: string; created: string; is_approved: boolean; is_rejected: boolean; needs_decision: boolean;
+  reason: string; task?: string;
+}
+export interface ReviewedRow extends Row {
   reviews: Review[]; trajectory_sha256: string; certificate_sha256: string; page_sha256: string;
 }
 export interface JudgedCheck extends Check { standing: Standing }
@@ -13,7 +16,7 @@ export interface Risk {
   title: string; check: number; standing: Standing; value: number | null; unit: string | null; text: string; count: number;
 }
 export interface Group { phase: string; open: number[]; passed: number[] }
-export interface Plan extends Row {
+export interface Plan extends ReviewedRow {
   explanation: string[]; checks: JudgedCheck[]; risks: Risk[]; assumed: string[]; not_checked: string[]; groups: Group[];
   duration_s: number | null; planning_time_s: number; has_page: boolean;
 }
@@ -48,8 +51,7 @@ export function ago(seconds: number): string {
 // What a row's state is called, and its tone.
 export function standingOfRow(row: Row): { text: string; tone: "good" | "fair" | "bad" | "" } {
   if (row.is_approved) return { text: "accepted", tone: "good" };
-  const last = row.reviews.at(-1);
-  if (last) return last.is_accepted ? { text: "acceptance expired", tone: "fair" } : { text: "rejected", tone: "bad" };
+  if (row.is_rejected) return { text: "rejected", tone: "bad" };
   if (row.needs_decision) return { text: "needs a decision", tone: "fair" };
   return { text: row.state, tone: row.state === "lost" ? "bad" : "" };
 }

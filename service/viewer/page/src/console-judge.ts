@@ -1,5 +1,5 @@
 // One plan as the operator judges it: risk first, what is assumed, checks by phase, and the decision.
-import { Plan, Row, standingOfRow } from "./console-data";
+import { Plan, ReviewedRow, standingOfRow } from "./console-data";
 import { button, el, figure, seconds, title, words } from "./dom";
 import { tone } from "./header";
 
@@ -19,7 +19,7 @@ export class Judge {
   private readonly comment = el("textarea", "comment");
   private readonly despite = el("input", "despite");
 
-  constructor(private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<Row>) {
+  constructor(private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<ReviewedRow>) {
     const { verdict } = plan;
     const badge = el("div", `verdict ${tone(verdict)}`, words(verdict));
     const lasts = plan.duration_s === null ? "no motion" : `lasts ${seconds(plan.duration_s)}`;
@@ -68,7 +68,7 @@ export class Judge {
     return section(open === 0 ? `Checks · all ${all} hold` : `Checks · ${open} of ${all} do not hold`, ...groups);
   }
 
-  private decision(decide: (decision: Decision) => Promise<Row>): HTMLElement {
+  private decision(decide: (decision: Decision) => Promise<ReviewedRow>): HTMLElement {
     const { verdict } = this.plan;
     this.comment.placeholder = "Comment";
     this.comment.rows = 2;
@@ -93,9 +93,9 @@ export class Judge {
     return section("Decision", this.said, this.comment, ...(verdict === GOOD ? [] : [this.despite]), el("div", "buttons", yes, no));
   }
 
-  private tell(row: Row): void {
-    const standing = standingOfRow(row);
+  private tell(row: ReviewedRow): void {
     const last = row.reviews.at(-1);
+    const standing = row.needs_decision && last ? { text: "acceptance expired", tone: "fair" } : standingOfRow(row);
     const by = last ? ` by ${last.reviewer}${last.comment ? `: ${last.comment}` : ""}` : "";
     this.say(`${standing.text}${by}`, standing.tone);
   }

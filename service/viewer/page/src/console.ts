@@ -1,5 +1,5 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
-import { Job, Plan, Row, Tabs, standingOfRow } from "./console-data";
+import { Job, Plan, ReviewedRow, Row, Tabs, standingOfRow } from "./console-data";
 import { Judge } from "./console-judge";
 import { Link, State } from "./console-link";
 import { TabView } from "./console-tab";
@@ -124,7 +124,7 @@ class ConsolePage {
       const standing = standingOfRow(row);
       const item = button(`row ${row.plan_id === this.shown ? "chosen" : ""}`, "", `Open plan ${row.plan_id}`, () => void this.open(row.plan_id));
       item.append(
-        el("b", "", words(row.verdict || row.state)), el("span", `soft ${standing.tone}`, standing.text),
+        el("b", "", [words(row.verdict || row.state), words(row.task ?? "")].filter(Boolean).join(" · ")), el("span", `soft ${standing.tone}`, standing.text),
         el("span", "id", row.plan_id), el("span", "soft", row.created.replace("T", " ").slice(0, 19)),
       );
       return item;
@@ -172,7 +172,7 @@ class ConsolePage {
 
   private show(plan: Plan): void {
     const judge = new Judge(plan, (check) => this.look(check), async ({ accept, comment, despite }) => {
-      const row = await this.link.order<Row>("review", {
+      const row = await this.link.order<ReviewedRow>("review", {
         plan_id: plan.plan_id, accept, comment, despite, trajectory_sha256: plan.trajectory_sha256,
         certificate_sha256: plan.certificate_sha256, page_sha256: plan.page_sha256,
       });
