@@ -1,4 +1,4 @@
-"""Plans that need a decision: their list, one of them as it is shown, and the decision."""
+"""Plans that need a decision: their list, one of them as it is shown, the decision, and the robot that follows it."""
 
 from __future__ import annotations
 
@@ -68,9 +68,7 @@ async def review_plan(
         ServiceError: the page showed another plan than the one that was fetched last.
         PlannerError: the server refuses the decision.
     """
-    opened = session.opened.get(plan_id)
-    if opened is None:
-        raise RequestError(f"plan {plan_id} is not open; open it and look at it first")
+    opened = _find_opened(session, plan_id)
     record = opened.record
     if shown != (record.result.trajectory.sha256, record.result.certificate.sha256, record.page_sha256):
         raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
@@ -78,6 +76,34 @@ async def review_plan(
     stored = await session.client.get_plan(plan_id)
     session.keep_opened(plan_id, OpenedPlan(stored.record, opened.page))
     return _make_row(stored.record)
+
+
+async def execute_plan(
+    session: OperatorSession, plan_id: str, trajectory_sha256: str, revision: int, is_placed: bool
+) -> dict[str, Any]:
+    """Have the robot carry out exactly the accepted trajectory that the page showed.
+
+    Raises:
+        RequestError: the plan is not open, or its newest review does not accept it.
+        ServiceError: the page showed another trajectory, or something changed and was not acknowledged.
+        PlannerError: the server refuses the plan.
+    """
+    opened = _find_opened(session, plan_id)
+    record = opened.record
+    if trajectory_sha256 != record.result.trajectory.sha256:
+        raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
+    if not record.reviews or record.reviews[-1].decision != Decision.DECISION_ACCEPTED:
+        raise RequestError(f"plan {plan_id} is not accepted; accept it first")
+    approval = record.reviews[-1].approval
+    after, carried_out = await session.robot.execute(plan_id, trajectory_sha256, approval, revision, is_placed)
+    return {"revision": after, "trajectory_sha256": carried_out}
+
+
+def _find_opened(session: OperatorSession, plan_id: str) -> OpenedPlan:
+    opened = session.opened.get(plan_id)
+    if opened is None:
+        raise RequestError(f"plan {plan_id} is not open; open it and look at it first")
+    return opened
 
 
 def _make_listed_row(plan: PlanSummary) -> dict[str, Any]:

@@ -31,6 +31,12 @@ export interface Tab { name: string; help: string; parameters: Parameter[]; kind
 export interface RobotChoice { name: string; postures: string[] }
 export interface ScanRow { name: string; age_s: number }
 export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[] }
+// The server's robot (service/cli/console/robot.py); without one only the first three.
+export interface RobotState {
+  is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
+  findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
+  control: string; farthest: { joint: string; off: number } | null;
+}
 export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
@@ -39,6 +45,18 @@ export interface FoundHit {
 export interface Found { hits: FoundHit[]; notes: string[] }
 
 export const RUNNING = ["uploading", "queued", "planning"];
+// Modes in which a plan is under way; in others there is nothing to pause, to resume or to abort.
+export const UNDER_WAY = ["ready", "running", "paused", "waiting", "returning", "holding"];
+
+// What the robot is, in one line.
+export function sayRobot(state: RobotState): string {
+  const parts = [];
+  if (state.plan_id) parts.push(`${state.phase || "no phase"} · ${state.clock_s.toFixed(1)} of ${state.duration_s.toFixed(1)} s`);
+  if (state.speed !== 1 && UNDER_WAY.includes(state.mode)) parts.push(`at ${Math.round(100 * state.speed)} %`);
+  if (state.farthest) parts.push(`${state.farthest.joint} is ${state.farthest.off.toFixed(3)} off`);
+  return [...parts, state.reason, ...state.findings].filter(Boolean).join(" · ");
+}
+
 export const OLD_SCAN_S = 600;
 
 // "12 s", "5 min", "3 h", "2 d": the largest unit.

@@ -15,6 +15,8 @@ export function section(name: string, ...content: (Node | string)[]): HTMLElemen
 
 export class Judge {
   readonly element = el("div", "judge");
+  isAccepted = false;
+  onDecision: () => void = () => {};
   private readonly said = el("p", "said");
   private readonly comment = el("textarea", "comment");
   private readonly despite = el("input", "despite");
@@ -94,6 +96,8 @@ export class Judge {
   }
 
   private tell(row: ReviewedRow): void {
+    this.isAccepted = row.is_approved || (row.reviews.at(-1)?.is_accepted ?? false);
+    this.onDecision();
     const last = row.reviews.at(-1);
     const standing = row.needs_decision && last ? { text: "acceptance expired", tone: "fair" } : standingOfRow(row);
     const by = last ? ` by ${last.reviewer}${last.comment ? `: ${last.comment}` : ""}` : "";
