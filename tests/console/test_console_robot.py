@@ -1,4 +1,4 @@
-"""The robot at the operator's page: in a browser against a real server with a simulated robot, and what is a surprise."""
+"""The robot at the operator's page, in a browser against a real server with a simulated robot."""
 
 from __future__ import annotations
 

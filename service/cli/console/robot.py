@@ -17,6 +17,8 @@ from service.proto.planner.v1.execution_pb2 import ControlHolder, ExecutionMode,
 AGAIN_S = 1.0  # before a server that did not answer is watched again
 ATTEND_S = 10.0  # until the server has seen that its operator watches
 RATE_HZ = 10.0
+# No robot, none for a caller of this role, or a server from before there were any.
+NO_ROBOT = (StatusCode.FAILED_PRECONDITION, StatusCode.PERMISSION_DENIED, StatusCode.UNIMPLEMENTED)
 
 
 class RobotSeat:
@@ -147,8 +149,8 @@ class RobotSeat:
                 if self._lease and error.code is StatusCode.FAILED_PRECONDITION:
                     self._lose(text)
                     continue
-                if error.code in (StatusCode.FAILED_PRECONDITION, StatusCode.PERMISSION_DENIED):
-                    self._state = None  # no robot, or none for this caller
+                if error.code in NO_ROBOT:
+                    self._state = None
                     self._tell(self.describe())
                     return
                 self._problem = text
