@@ -94,7 +94,12 @@ async def execute_plan(
         raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
     if not record.reviews or record.reviews[-1].decision != Decision.DECISION_ACCEPTED:
         raise RequestError(f"plan {plan_id} is not accepted; accept it first")
-    approval = record.reviews[-1].approval
+    # A server without a key signs no approvals, and could not tell that this one was withdrawn.
+    newest = (await session.client.get_plan(plan_id)).record.reviews[-1]
+    if newest != record.reviews[-1]:
+        decision = "accepted" if newest.decision == Decision.DECISION_ACCEPTED else "rejected"
+        raise ServiceError(f"plan {plan_id} was {decision} by {newest.reviewer} since; open it again and look at it")
+    approval = newest.approval
     after, carried_out = await session.robot.execute(plan_id, trajectory_sha256, approval, revision, is_placed)
     return {"revision": after, "trajectory_sha256": carried_out}
 
