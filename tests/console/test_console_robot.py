@@ -52,7 +52,8 @@ def test_the_joint_that_is_farthest_from_the_plan_is_named() -> None:
     shown = describe_state(make_state())
     assert (shown["mode"], shown["control"]) == ("running", "ann (console 12)")
     assert (shown["farthest"]["joint"], shown["farthest"]["off"]) == ("two", pytest.approx(0.3))
-    assert describe_state(wire.WatchResponse(status={"mode": 1}))["farthest"] is None  # type: ignore[arg-type]
+    idle = wire.ExecutionStatus(mode=wire.EXECUTION_MODE_IDLE)
+    assert describe_state(wire.WatchResponse(status=idle))["farthest"] is None
 
 
 @pytest.fixture(scope="module")
