@@ -14,7 +14,10 @@ export class RobotStrip {
   private readonly line = el("span", "line");
   private readonly holder = el("span", "holder");
   private readonly said = el("span", "said");
-  private readonly alert = el("div", "alert");
+  private readonly changed = el("span");
+  // Made once: states come while it is pressed.
+  private readonly seen = button("", "Seen", "Acknowledge what changed; until then orders are refused", () => void this.order("acknowledge", { seen: this.state?.surprises.length ?? 0 }));
+  private readonly alert = el("div", "alert", this.changed, this.seen);
   private readonly speed = el("select", "choice speed");
   private readonly take = button("", "Take control", "Take control of the robot", () => void this.order("take", { takes_over: false }));
   private readonly takeOver = button("", "Take over", "Take control from whoever has it", () => void this.order("take", { takes_over: true }));
@@ -47,9 +50,9 @@ export class RobotStrip {
     this.state = state;
     this.element.hidden = !state.is_there && state.problem === "" && state.surprises.length === 0;
     const { surprises, problem } = state;
-    const seen = button("", "Seen", "Acknowledge what changed; until then orders are refused", () => void this.order("acknowledge", { seen: surprises.length }));
     this.alert.hidden = surprises.length === 0 && problem === "";
-    this.alert.replaceChildren(el("span", "", [...surprises, problem].filter(Boolean).join("; ")), ...(surprises.length > 0 ? [seen] : []));
+    this.changed.textContent = [...surprises, problem].filter(Boolean).join("; ");
+    this.seen.hidden = surprises.length === 0;
     if (state.is_there) this.showRobot(state);
     this.onState();
   }
