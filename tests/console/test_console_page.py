@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browser import Browser, open_browser
+from console_page import WAIT_S, click, console_of, wait
 from planner_server import planner_server
 
 from service.trust import Role, make_token
 
-WAIT_S = 240.0
 RAISE = """
 help: Raise the right hand.
 parameters:
@@ -36,26 +33,6 @@ class Desk:
     url: str
     tokens: dict[str, str]
     tasks: Path
-
-
-@contextmanager
-def console_of(target: str, folder: Path) -> Iterator[str]:
-    """``scopt console`` in a process of its own; the address of its page."""
-    program = [sys.executable, "-c", "from service.cli.app import main; main()", "console"]
-    process = subprocess.Popen(
-        [*program, "--target", target, "--listen", "127.0.0.1:0", "--scans", str(folder)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    try:
-        said = process.stdout.readline()
-        assert said.startswith("console at "), said
-        yield said.removeprefix("console at ").strip()
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 @pytest.fixture(scope="module")
@@ -76,25 +53,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with open_browser(tmp_path_factory.mktemp("profile"), (1280, 800)) as browser:
         yield browser
-
-
-def wait(browser: Browser, expression: str) -> None:
-    end = time.monotonic() + WAIT_S
-    while not browser.run(expression):
-        assert time.monotonic() < end, f"{expression}: {browser.run('document.body.innerText')[:2000]}"
-        time.sleep(0.05)
-
-
-def click(browser: Browser, selector: str, text: str) -> None:
-    """Click on the one element of a selector that has this text, with the pointer."""
-    find = f"[...document.querySelectorAll({json.dumps(selector)})].find((e) => e.textContent === {json.dumps(text)})"
-    wait(browser, f"!!{find} && !{find}.disabled")
-    x, y = browser.run(
-        f"(() => {{ const e = {find}; e.scrollIntoView({{block: 'center'}}); const r = e.getBoundingClientRect(); "
-        "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
-    )
-    for kind in ("mousePressed", "mouseReleased"):
-        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
 
 def log_in(browser: Browser, token: str) -> None:

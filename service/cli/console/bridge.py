@@ -45,8 +45,7 @@ async def serve_page(console: Console, websocket: WebSocket) -> None:
     except (WebSocketDisconnect, ValueError):
         return
     queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
-    session.listeners.add(queue)
-    queue.put_nowait({"event": "hello", "jobs": list(session.jobs.values())})
+    session.add_page(queue)
     sender = asyncio.create_task(_send(websocket, queue))
     answers: set[asyncio.Task[None]] = set()
     try:
@@ -61,9 +60,9 @@ async def serve_page(console: Console, websocket: WebSocket) -> None:
     except (WebSocketDisconnect, ValueError, RecursionError, KeyError):
         pass  # the page went, or sends what no page of this console sends
     finally:
-        session.listeners.discard(queue)
         for task in (sender, *answers):
             task.cancel()
+        await session.remove_page(queue)
         await asyncio.gather(sender, *answers, return_exceptions=True)
 
 

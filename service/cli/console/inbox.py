@@ -1,4 +1,4 @@
-"""Plans that need a decision: their list, one of them as it is shown, and the decision."""
+"""Plans that need a decision: their list, one of them as it is shown, the decision, and the robot that follows it."""
 
 from __future__ import annotations
 
@@ -9,41 +9,29 @@ from typing import Any
 
 from service.cli.console.judging import judge_plan
 from service.cli.console.sessions import OpenedPlan, OperatorSession
-from service.client import AsyncPlannerClient, PlannerError
+from service.client import AsyncPlannerClient
 from service.client.answers import read_verdict
 from service.errors import RequestError, ServiceError
-from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState
+from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, PlanSummary
+from service.proto.planner.v1.result_pb2 import VERDICT_UNSPECIFIED, Verdict
 from service.result.folder import VIEWER_NAME
 
 MOST_LISTED = 30
+_KNOWN = [verdict for verdict in Verdict.values() if verdict != VERDICT_UNSPECIFIED]
 
 
-class SeenPlans:
-    """Ids of the plans that were asked for or opened at this console, newest first."""
+async def list_inbox(client: AsyncPlannerClient) -> list[dict[str, Any]]:
+    """Return the plans that wait for a decision and the newest of all, newest first, as rows of the list.
 
-    def __init__(self) -> None:
-        self._ids: dict[str, None] = {}
-
-    def add(self, plan_id: str) -> None:
-        """Note a plan."""
-        self._ids.pop(plan_id, None)
-        self._ids[plan_id] = None
-
-    async def list_plans(self, client: AsyncPlannerClient) -> list[dict[str, Any]]:
-        """Return the plans that a client may see, newest first, as rows of the list.
-
-        Raises:
-            PlannerError: the server does not answer, or refuses the client.
-        """
-        rows = []
-        for plan_id in list(reversed(self._ids))[:MOST_LISTED]:
-            try:
-                rows.append(_make_row((await client.get_plan(plan_id)).record))
-            except PlannerError as error:
-                # Of another operator, or no longer kept.
-                if error.code.name not in ("NOT_FOUND", "PERMISSION_DENIED"):
-                    raise
-        return rows
+    Raises:
+        PlannerError: the server does not answer, or refuses the client.
+    """
+    listed: dict[str, PlanSummary] = {}
+    for needs_review in (True, False):
+        async for plan in client.list_plans(needs_review=needs_review, limit=MOST_LISTED):
+            listed.setdefault(plan.plan_id, plan)
+    newest_first = sorted(listed.values(), key=lambda plan: plan.created.ToNanoseconds(), reverse=True)
+    return [_make_listed_row(plan) for plan in newest_first]
 
 
 async def open_plan(session: OperatorSession, plan_id: str) -> dict[str, Any]:
@@ -80,9 +68,7 @@ async def review_plan(
         ServiceError: the page showed another plan than the one that was fetched last.
         PlannerError: the server refuses the decision.
     """
-    opened = session.opened.get(plan_id)
-    if opened is None:
-        raise RequestError(f"plan {plan_id} is not open; open it and look at it first")
+    opened = _find_opened(session, plan_id)
     record = opened.record
     if shown != (record.result.trajectory.sha256, record.result.certificate.sha256, record.page_sha256):
         raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
@@ -92,7 +78,57 @@ async def review_plan(
     return _make_row(stored.record)
 
 
+async def execute_plan(
+    session: OperatorSession, plan_id: str, trajectory_sha256: str, revision: int, is_placed: bool
+) -> dict[str, Any]:
+    """Have the robot carry out exactly the accepted trajectory that the page showed.
+
+    Raises:
+        RequestError: the plan is not open, or its newest review does not accept it.
+        ServiceError: the page showed another trajectory, or something changed and was not acknowledged.
+        PlannerError: the server refuses the plan.
+    """
+    opened = _find_opened(session, plan_id)
+    record = opened.record
+    if trajectory_sha256 != record.result.trajectory.sha256:
+        raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
+    if not record.reviews or record.reviews[-1].decision != Decision.DECISION_ACCEPTED:
+        raise RequestError(f"plan {plan_id} is not accepted; accept it first")
+    # A server without a key signs no approvals, and could not tell that this one was withdrawn.
+    newest = (await session.client.get_plan(plan_id)).record.reviews[-1]
+    if newest != record.reviews[-1]:
+        decision = "accepted" if newest.decision == Decision.DECISION_ACCEPTED else "rejected"
+        raise ServiceError(f"plan {plan_id} was {decision} by {newest.reviewer} since; open it again and look at it")
+    approval = newest.approval
+    after, carried_out = await session.robot.execute(plan_id, trajectory_sha256, approval, revision, is_placed)
+    return {"revision": after, "trajectory_sha256": carried_out}
+
+
+def _find_opened(session: OperatorSession, plan_id: str) -> OpenedPlan:
+    opened = session.opened.get(plan_id)
+    if opened is None:
+        raise RequestError(f"plan {plan_id} is not open; open it and look at it first")
+    return opened
+
+
+def _make_listed_row(plan: PlanSummary) -> dict[str, Any]:
+    """Return the row of a plan; what its reviews say is shown once it is open."""
+    can_be_accepted = bool(plan.trajectory_sha256 and plan.certificate_sha256)
+    return {
+        "plan_id": plan.plan_id,
+        "task": plan.task,
+        "state": _name_state(plan.state),
+        "verdict": Verdict.Name(plan.verdict).removeprefix("VERDICT_") if plan.verdict in _KNOWN else "",
+        "created": plan.created.ToJsonString() if plan.HasField("created") else "",
+        "is_approved": plan.is_approved,
+        "is_rejected": can_be_accepted and not (plan.is_approved or plan.needs_review),
+        "needs_decision": plan.needs_review,
+        "reason": plan.reason,
+    }
+
+
 def _make_row(record: PlanRecord) -> dict[str, Any]:
+    """Return the row of an open plan, with its reviews and what they are bound to."""
     reviews = [
         {
             "is_accepted": review.decision == Decision.DECISION_ACCEPTED,
@@ -103,16 +139,22 @@ def _make_row(record: PlanRecord) -> dict[str, Any]:
         for review in record.reviews
     ]
     is_finished = record.state == PlanState.PLAN_STATE_FINISHED and record.HasField("result")
+    last_accepts = bool(reviews) and reviews[-1]["is_accepted"]
     return {
         "plan_id": record.plan_id,
-        "state": PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower(),
+        "state": _name_state(record.state),
         "verdict": read_verdict(record.result) if is_finished else "",
         "created": record.created.ToJsonString() if record.HasField("created") else "",
         "is_approved": record.is_approved,
-        "needs_decision": is_finished and not record.reviews,
+        "is_rejected": bool(reviews) and not last_accepts,
+        "needs_decision": is_finished and not record.is_approved and (not reviews or last_accepts),
         "reason": record.reason,
         "reviews": reviews,
         "trajectory_sha256": record.result.trajectory.sha256,
         "certificate_sha256": record.result.certificate.sha256,
         "page_sha256": record.page_sha256,
     }
+
+
+def _name_state(state: PlanState) -> str:
+    return PlanState.Name(state).removeprefix("PLAN_STATE_").lower()

@@ -23,13 +23,8 @@ TELL_EVERY_S = 0.1
 RUNNING = ("uploading", "queued", "planning")
 
 
-def start_plan(
-    session: OperatorSession, task: str, request: PlanRequest, on_accepted: Callable[[str], None]
-) -> dict[str, Any]:
+def start_plan(session: OperatorSession, task: str, request: PlanRequest) -> dict[str, Any]:
     """Begin a plan, and return it as pages draw it; what becomes of it is told to all pages of the session.
-
-    Args:
-        on_accepted: called with the id of the plan.
 
     Raises:
         RequestError: too many plans run.
@@ -45,7 +40,7 @@ def start_plan(
     for old in sorted(session.jobs)[:-MOST_JOBS]:
         if session.jobs[old]["state"] not in RUNNING:
             del session.jobs[old]
-    session.tasks[number] = asyncio.create_task(_follow(session, number, request, on_accepted))
+    session.tasks[number] = asyncio.create_task(_follow(session, number, request))
     return dict(job)
 
 
@@ -62,9 +57,7 @@ def cancel_plan(session: OperatorSession, number: int) -> None:
         task.cancel()
 
 
-async def _follow(
-    session: OperatorSession, number: int, request: PlanRequest, on_accepted: Callable[[str], None]
-) -> None:
+async def _follow(session: OperatorSession, number: int, request: PlanRequest) -> None:
     job = session.jobs[number]
 
     def tell(**changes: Any) -> None:
@@ -73,7 +66,7 @@ async def _follow(
 
     try:
         async with aclosing(session.client.plan_events(request, with_files=True)) as events:
-            await _read_events(events, tell, on_accepted)
+            await _read_events(events, tell)
     except asyncio.CancelledError:
         tell(state="stopped")
         raise
@@ -88,14 +81,11 @@ async def _follow(
         session.tasks.pop(number, None)
 
 
-async def _read_events(
-    events: AsyncIterator[PlanResponse], tell: Callable[..., None], on_accepted: Callable[[str], None]
-) -> None:
+async def _read_events(events: AsyncIterator[PlanResponse], tell: Callable[..., None]) -> None:
     told, step, verdict = 0.0, "", ""
     async for event in events:
         match event.WhichOneof("event"):
             case "accepted":
-                on_accepted(event.accepted.plan_id)
                 tell(state="planning", plan_id=event.accepted.plan_id)
             case "queued":
                 tell(state="queued", step=f"place {event.queued.place} in the queue")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
-from service.cli.console.inbox import SeenPlans, open_plan, review_plan
+from service.cli.console.inbox import execute_plan, list_inbox, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession, Sessions
@@ -24,12 +24,11 @@ Hash = Annotated[str, Field(max_length=100)]
 
 
 class Console:
-    """What all pages of a console share: sessions and settings, and the plans that were asked for here."""
+    """What all pages of a console share."""
 
     def __init__(self, settings: ConsoleSettings) -> None:
         self.settings = settings
         self.sessions = Sessions(settings)
-        self.inbox = SeenPlans()
 
 
 @checked(config=SECTION)
@@ -108,6 +107,49 @@ class CancelOrder(Section):
     job: int
 
 
+@checked(config=SECTION)
+class TakeOrder(Section):
+    """Control of the robot is to be taken, also from somebody who has it."""
+
+    takes_over: bool = False
+
+
+@checked(config=SECTION)
+class ExecuteOrder(Section):
+    """Which plan the robot is to carry out, and what the page showed when the operator said so.
+
+    Attributes:
+        revision: of the robot's state.
+        is_placed: whether a simulated robot is put at the plan's start first.
+    """
+
+    plan_id: Name
+    trajectory_sha256: Hash
+    revision: int
+    is_placed: bool = False
+
+
+@checked(config=SECTION)
+class RobotOrder(Section):
+    """What the robot is to do about the state that the page showed.
+
+    Attributes:
+        revision: of the robot's state; ``stop`` is obeyed with any.
+        speed: with ``speed``, share of real time.
+    """
+
+    command: Literal["pause", "resume", "stop", "abort", "speed", "release_control"]
+    revision: int
+    speed: float = 0.0
+
+
+@checked(config=SECTION)
+class AcknowledgeOrder(Section):
+    """How many of the changes behind the page its operator has seen."""
+
+    seen: Annotated[int, Field(ge=1)]
+
+
 @dataclass(frozen=True)
 class PageOrder(Generic[T]):
     """An order with its arguments and what carries it out; the result is JSON-ready."""
@@ -126,13 +168,11 @@ class PageOrder(Generic[T]):
 
 
 async def _inbox(console: Console, session: OperatorSession, order: Nothing) -> Any:
-    return await console.inbox.list_plans(session.client)
+    return await list_inbox(session.client)
 
 
 async def _open(console: Console, session: OperatorSession, order: OpenOrder) -> Any:
-    shown = await open_plan(session, order.plan_id)
-    console.inbox.add(order.plan_id)
-    return shown
+    return await open_plan(session, order.plan_id)
 
 
 async def _review(console: Console, session: OperatorSession, order: ReviewOrder) -> Any:
@@ -160,11 +200,28 @@ async def _detect(console: Console, session: OperatorSession, order: DetectOrder
 
 async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
     request = make_request(session, console.settings.scans, order)
-    return start_plan(session, order.task, request, console.inbox.add)
+    return start_plan(session, order.task, request)
 
 
 async def _cancel(console: Console, session: OperatorSession, order: CancelOrder) -> Any:
     cancel_plan(session, order.job)
+    return {}
+
+
+async def _take(console: Console, session: OperatorSession, order: TakeOrder) -> Any:
+    return {"revision": await session.robot.take(order.takes_over)}
+
+
+async def _execute(console: Console, session: OperatorSession, order: ExecuteOrder) -> Any:
+    return await execute_plan(session, order.plan_id, order.trajectory_sha256, order.revision, order.is_placed)
+
+
+async def _command(console: Console, session: OperatorSession, order: RobotOrder) -> Any:
+    return {"revision": await session.robot.command(order.command, order.revision, order.speed)}
+
+
+async def _acknowledge(console: Console, session: OperatorSession, order: AcknowledgeOrder) -> Any:
+    session.robot.acknowledge(order.seen)
     return {}
 
 
@@ -177,4 +234,8 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "detect": PageOrder(DetectOrder, _detect),
     "plan": PageOrder(PlanOrder, _plan),
     "cancel": PageOrder(CancelOrder, _cancel),
+    "take": PageOrder(TakeOrder, _take),
+    "execute": PageOrder(ExecuteOrder, _execute),
+    "command": PageOrder(RobotOrder, _command),
+    "acknowledge": PageOrder(AcknowledgeOrder, _acknowledge),
 }

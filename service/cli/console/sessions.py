@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from service.cli.console.robot import RobotSeat
 from service.cli.console.settings import ConsoleSettings
 from service.client import AsyncPlannerClient, Retry
 from service.proto.planner.v1.planner_pb2 import PlanRecord
@@ -45,6 +46,7 @@ class OperatorSession:
         opened: plans that were opened, by id.
         hits: objects that were found, by number.
         jobs: plans that were asked for, by number, as the page draws them.
+        robot: what the operator sees and has of the server's robot.
     """
 
     key: str
@@ -56,6 +58,23 @@ class OperatorSession:
     tasks: dict[int, asyncio.Task[None]] = field(default_factory=dict)
     listeners: set[asyncio.Queue[dict[str, Any]]] = field(default_factory=set)
     last_used: float = field(default_factory=time.monotonic)
+    robot: RobotSeat = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.robot = RobotSeat(self.client, self.tell)
+
+    def add_page(self, queue: asyncio.Queue[dict[str, Any]]) -> None:
+        """Send events to another page, the present state first."""
+        self.listeners.add(queue)
+        queue.put_nowait({"event": "hello", "jobs": list(self.jobs.values())})
+        queue.put_nowait(self.robot.describe())
+        self.robot.attend()
+
+    async def remove_page(self, queue: asyncio.Queue[dict[str, Any]]) -> None:
+        """Forget a page that has gone; without any page the server sees that its operator has gone."""
+        self.listeners.discard(queue)
+        if not self.listeners:
+            await self.robot.leave()
 
     def keep_opened(self, plan_id: str, opened: OpenedPlan) -> None:
         """Keep a plan as it is shown now, and forget the one opened longest ago."""
@@ -71,10 +90,11 @@ class OperatorSession:
                 queue.put_nowait(dict(event))
 
     async def close(self) -> None:
-        """Stop the plans of the session, and close its connection."""
+        """Stop the plans of the session, give control of the robot back, and close the connection."""
         for task in self.tasks.values():
             task.cancel()
         await asyncio.gather(*self.tasks.values(), return_exceptions=True)
+        await self.robot.close()
         await self.client.close()
 
 

@@ -5,7 +5,10 @@ import type { Standing } from "./standing";
 
 export interface Review { is_accepted: boolean; reviewer: string; comment: string; time: string }
 export interface Row {
-  plan_id: string; state: string; verdict: string; created: string; is_approved: boolean; needs_decision: boolean; reason: string;
+  plan_id: string; state: string; verdict: string; created: string; is_approved: boolean; is_rejected: boolean; needs_decision: boolean;
+  reason: string; task?: string;
+}
+export interface ReviewedRow extends Row {
   reviews: Review[]; trajectory_sha256: string; certificate_sha256: string; page_sha256: string;
 }
 export interface JudgedCheck extends Check { standing: Standing }
@@ -13,7 +16,7 @@ export interface Risk {
   title: string; check: number; standing: Standing; value: number | null; unit: string | null; text: string; count: number;
 }
 export interface Group { phase: string; open: number[]; passed: number[] }
-export interface Plan extends Row {
+export interface Plan extends ReviewedRow {
   explanation: string[]; checks: JudgedCheck[]; risks: Risk[]; assumed: string[]; not_checked: string[]; groups: Group[];
   duration_s: number | null; planning_time_s: number; has_page: boolean;
 }
@@ -28,6 +31,12 @@ export interface Tab { name: string; help: string; parameters: Parameter[]; kind
 export interface RobotChoice { name: string; postures: string[] }
 export interface ScanRow { name: string; age_s: number }
 export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[] }
+// The server's robot (service/cli/console/robot.py); without one only the first three.
+export interface RobotState {
+  is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
+  findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
+  control: string; farthest: { joint: string; off: number } | null;
+}
 export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
@@ -36,6 +45,18 @@ export interface FoundHit {
 export interface Found { hits: FoundHit[]; notes: string[] }
 
 export const RUNNING = ["uploading", "queued", "planning"];
+// Modes in which a plan is under way; in others there is nothing to pause, to resume or to abort.
+export const UNDER_WAY = ["ready", "running", "paused", "waiting", "returning", "holding"];
+
+// What the robot is, in one line.
+export function sayRobot(state: RobotState): string {
+  const parts = [];
+  if (state.plan_id) parts.push(`${state.phase || "no phase"} · ${state.clock_s.toFixed(1)} of ${state.duration_s.toFixed(1)} s`);
+  if (state.speed !== 1 && UNDER_WAY.includes(state.mode)) parts.push(`at ${Math.round(100 * state.speed)} %`);
+  if (state.farthest) parts.push(`${state.farthest.joint} is ${state.farthest.off.toFixed(3)} off`);
+  return [...parts, state.reason, ...state.findings].filter(Boolean).join(" · ");
+}
+
 export const OLD_SCAN_S = 600;
 
 // "12 s", "5 min", "3 h", "2 d": the largest unit.
@@ -48,8 +69,7 @@ export function ago(seconds: number): string {
 // What a row's state is called, and its tone.
 export function standingOfRow(row: Row): { text: string; tone: "good" | "fair" | "bad" | "" } {
   if (row.is_approved) return { text: "accepted", tone: "good" };
-  const last = row.reviews.at(-1);
-  if (last) return last.is_accepted ? { text: "acceptance expired", tone: "fair" } : { text: "rejected", tone: "bad" };
+  if (row.is_rejected) return { text: "rejected", tone: "bad" };
   if (row.needs_decision) return { text: "needs a decision", tone: "fair" };
   return { text: row.state, tone: row.state === "lost" ? "bad" : "" };
 }

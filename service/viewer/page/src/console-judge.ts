@@ -1,5 +1,5 @@
 // One plan as the operator judges it: risk first, what is assumed, checks by phase, and the decision.
-import { Plan, Row, standingOfRow } from "./console-data";
+import { Plan, ReviewedRow, standingOfRow } from "./console-data";
 import { button, el, figure, seconds, title, words } from "./dom";
 import { tone } from "./header";
 
@@ -15,11 +15,13 @@ export function section(name: string, ...content: (Node | string)[]): HTMLElemen
 
 export class Judge {
   readonly element = el("div", "judge");
+  isAccepted = false;
+  onDecision: () => void = () => {};
   private readonly said = el("p", "said");
   private readonly comment = el("textarea", "comment");
   private readonly despite = el("input", "despite");
 
-  constructor(private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<Row>) {
+  constructor(private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<ReviewedRow>) {
     const { verdict } = plan;
     const badge = el("div", `verdict ${tone(verdict)}`, words(verdict));
     const lasts = plan.duration_s === null ? "no motion" : `lasts ${seconds(plan.duration_s)}`;
@@ -68,7 +70,7 @@ export class Judge {
     return section(open === 0 ? `Checks · all ${all} hold` : `Checks · ${open} of ${all} do not hold`, ...groups);
   }
 
-  private decision(decide: (decision: Decision) => Promise<Row>): HTMLElement {
+  private decision(decide: (decision: Decision) => Promise<ReviewedRow>): HTMLElement {
     const { verdict } = this.plan;
     this.comment.placeholder = "Comment";
     this.comment.rows = 2;
@@ -93,9 +95,11 @@ export class Judge {
     return section("Decision", this.said, this.comment, ...(verdict === GOOD ? [] : [this.despite]), el("div", "buttons", yes, no));
   }
 
-  private tell(row: Row): void {
-    const standing = standingOfRow(row);
+  private tell(row: ReviewedRow): void {
+    this.isAccepted = row.is_approved || (row.reviews.at(-1)?.is_accepted ?? false);
+    this.onDecision();
     const last = row.reviews.at(-1);
+    const standing = row.needs_decision && last ? { text: "acceptance expired", tone: "fair" } : standingOfRow(row);
     const by = last ? ` by ${last.reviewer}${last.comment ? `: ${last.comment}` : ""}` : "";
     this.say(`${standing.text}${by}`, standing.tone);
   }

@@ -1,7 +1,8 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
-import { Job, Plan, Row, Tabs, standingOfRow } from "./console-data";
-import { Judge } from "./console-judge";
+import { Job, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
+import { Judge, section } from "./console-judge";
 import { Link, State } from "./console-link";
+import { RobotStrip } from "./console-robot";
 import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
 
@@ -13,6 +14,7 @@ const saidBy = (error: unknown): string => (error instanceof Error ? error.messa
 
 class ConsolePage {
   readonly link: Link;
+  readonly robot: RobotStrip;
   tab: TabView | null = null;
   private readonly nav = el("nav", "tabs");
   private readonly list = el("div", "list");
@@ -33,6 +35,7 @@ class ConsolePage {
 
   constructor(private readonly settings: Settings) {
     this.link = new Link(settings.version);
+    this.robot = new RobotStrip(this.link);
     document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
     document.body.classList.add("console");
     const leave = button("", "Log out", "End this session", () => void this.link.logOut().then(() => location.reload()));
@@ -42,7 +45,7 @@ class ConsolePage {
     this.bar.hidden = true;
     this.login.hidden = true;
     this.makeLogin();
-    document.body.append(head, this.bar, left, this.view, this.side, this.login);
+    document.body.append(head, this.robot.element, this.bar, left, this.view, this.side, this.login);
     this.link.onState = (state, why) => this.tellState(state, why);
     this.link.onEvent = (event) => this.take(event);
     setInterval(() => { if (!document.hidden) void this.refresh(); }, REFRESH_MS);
@@ -93,6 +96,7 @@ class ConsolePage {
 
   private take(event: Record<string, unknown>): void {
     if (event.event === "job") this.tab?.follow(event as unknown as Job);
+    if (event.event === "robot") this.robot.show(event as unknown as RobotState);
     if (event.event === "hello") for (const job of event.jobs as Job[]) this.tab?.follow(job);
   }
 
@@ -124,7 +128,7 @@ class ConsolePage {
       const standing = standingOfRow(row);
       const item = button(`row ${row.plan_id === this.shown ? "chosen" : ""}`, "", `Open plan ${row.plan_id}`, () => void this.open(row.plan_id));
       item.append(
-        el("b", "", words(row.verdict || row.state)), el("span", `soft ${standing.tone}`, standing.text),
+        el("b", "", [words(row.verdict || row.state), words(row.task ?? "")].filter(Boolean).join(" · ")), el("span", `soft ${standing.tone}`, standing.text),
         el("span", "id", row.plan_id), el("span", "soft", row.created.replace("T", " ").slice(0, 19)),
       );
       return item;
@@ -172,14 +176,14 @@ class ConsolePage {
 
   private show(plan: Plan): void {
     const judge = new Judge(plan, (check) => this.look(check), async ({ accept, comment, despite }) => {
-      const row = await this.link.order<Row>("review", {
+      const row = await this.link.order<ReviewedRow>("review", {
         plan_id: plan.plan_id, accept, comment, despite, trajectory_sha256: plan.trajectory_sha256,
         certificate_sha256: plan.certificate_sha256, page_sha256: plan.page_sha256,
       });
       void this.refresh();
       return row;
     });
-    this.scroll.replaceChildren(judge.element);
+    this.scroll.replaceChildren(judge.element, this.execution(plan, judge));
     if (!plan.has_page) {
       this.view.append(el("p", "broken", "This plan has no page; it was asked for without files."));
       return;
@@ -190,6 +194,26 @@ class ConsolePage {
     this.frame.title = `Motion of plan ${plan.plan_id}`;
     this.frame.src = this.addressOf(plan.plan_id, "panel=0");
     this.view.append(this.frame);
+  }
+
+  // The button that has the robot carry out exactly this motion, once it is accepted and this page has control.
+  private execution(plan: Plan, judge: Judge): HTMLElement {
+    const placed = el("input");
+    placed.type = "checkbox";
+    const go = button("yes", "Execute", "Have the robot carry out exactly this motion", () => void this.robot.order("execute", {
+      plan_id: plan.plan_id, trajectory_sha256: plan.trajectory_sha256, revision: this.robot.revision, is_placed: placed.checked,
+    }));
+    const why = el("p", "soft");
+    const part = section("Robot", why, el("label", "placed", placed, " put a simulated robot at the start first"), el("div", "buttons", go));
+    const refresh = (): void => {
+      part.hidden = !this.robot.state?.is_there;
+      const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : "";
+      go.disabled = reason !== "";
+      why.textContent = reason;
+    };
+    this.robot.onState = judge.onDecision = refresh;
+    refresh();
+    return part;
   }
 
   private addressOf(planId: string, hash: string): string {
@@ -209,6 +233,7 @@ try {
     ready: true,
     get busy(): boolean { return page.tab?.view?.stage.isBusy ?? false; },
     get state(): State { return page.link.state; },
+    get robot(): RobotState | null { return page.robot.state; },
     get hasScan(): boolean { return page.tab?.view !== null && page.tab?.view !== undefined; },
     choose: (name: string): void => page.choose(name),
     open: (id: string): Promise<void> => page.open(id),

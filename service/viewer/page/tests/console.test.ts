@@ -56,15 +56,12 @@ test("an age is told in its largest unit", () => {
 });
 
 const row = (more: Partial<Row>): Row => ({
-  plan_id: "a", state: "finished", verdict: "CERTIFIED", created: "", is_approved: false, needs_decision: false, reason: "", reviews: [],
-  trajectory_sha256: "", certificate_sha256: "", page_sha256: "", ...more,
+  plan_id: "a", state: "finished", verdict: "CERTIFIED", created: "", is_approved: false, is_rejected: false, needs_decision: false, reason: "", ...more,
 });
-const review = (is_accepted: boolean): Row["reviews"][number] => ({ is_accepted, reviewer: "ada", comment: "", time: "" });
 
-test("an acceptance that no longer counts is not told as one", () => {
-  assert.equal(standingOfRow(row({ is_approved: true, reviews: [review(true)] })).text, "accepted");
-  assert.equal(standingOfRow(row({ reviews: [review(true)] })).text, "acceptance expired");
-  assert.equal(standingOfRow(row({ reviews: [review(true), review(false)] })).text, "rejected");
+test("a plan is called by what was decided about it, or else by how far it is", () => {
+  assert.equal(standingOfRow(row({ is_approved: true })).text, "accepted");
+  assert.equal(standingOfRow(row({ is_rejected: true })).text, "rejected");
   assert.equal(standingOfRow(row({ needs_decision: true })).text, "needs a decision");
   assert.deepEqual(standingOfRow(row({ state: "lost" })), { text: "lost", tone: "bad" });
 });
