@@ -79,11 +79,9 @@ def test_an_accepted_plan_is_carried_out_and_what_others_change_is_shown_until_i
         wait(browser, "window.__viewer.robot?.mode === 'idle'")
         browser.run(f"window.__viewer.open('{made.plan_id}')")
         click(browser, ".judge .yes", "Accept")
-        click(browser, ".robot-strip button", "Take control")
-        wait(browser, "window.__viewer.robot.has_control")
+        click(browser, ".robot-strip button", "Take control", until="window.__viewer.robot.has_control")
         browser.run("document.querySelector('.placed input').checked = true")
-        click(browser, ".buttons .yes", "Execute")
-        wait(browser, "['running', 'done'].includes(window.__viewer.robot.mode)")
+        click(browser, ".buttons .yes", "Execute", until="['running', 'done'].includes(window.__viewer.robot.mode)")
         assert browser.run("window.__viewer.robot.trajectory_sha256") == made.result.trajectory.sha256
         wait(browser, f"{SAID}.startsWith('answered: state ')")
         wait(browser, "window.__viewer.robot.mode === 'done'")
@@ -92,8 +90,8 @@ def test_an_accepted_plan_is_carried_out_and_what_others_change_is_shown_until_i
             _take_over_behind(browser, other)
             # The acceptance that the page relies on is void once another reviewer rejects the plan.
             other.review(other.get_plan(made.plan_id).record, accept=False, comment="old scan")
-        click(browser, ".buttons .yes", "Execute")
-        wait(browser, f"{SAID}.includes('was rejected by local since; open it again')")
+        refused = f"{SAID}.includes('was rejected by local since; open it again')"
+        click(browser, ".buttons .yes", "Execute", until=refused)
         assert browser.complaints() == []
 
 
@@ -102,7 +100,5 @@ def _take_over_behind(browser: Browser, other: PlannerClient) -> None:
     other.take_control("bob", takes_over=True)
     wait(browser, f"!{ALERT}.hidden && {ALERT}.textContent.includes('local (bob) took control')")
     assert browser.run("[...document.querySelectorAll('.buttons .yes')].at(-1).disabled")
-    click(browser, ".robot-strip .alert button", "Seen")
-    wait(browser, f"{ALERT}.hidden")
-    click(browser, ".robot-strip button", "Take over")
-    wait(browser, "window.__viewer.robot.has_control")
+    click(browser, ".robot-strip .alert button", "Seen", until=f"{ALERT}.hidden")
+    click(browser, ".robot-strip button", "Take over", until="window.__viewer.robot.has_control")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from browser import Browser
 
-WAIT_S = 240.0
+WAIT_S, AGAIN_S = 240.0, 5.0
 
 
 @contextmanager
@@ -42,13 +42,24 @@ def wait(browser: Browser, expression: str) -> None:
         time.sleep(0.05)
 
 
-def click(browser: Browser, selector: str, text: str) -> None:
-    """Click on the one element of a selector that has this text, with the pointer."""
+def click(browser: Browser, selector: str, text: str, until: str | None = None) -> None:
+    """Click on the one element of a selector that has this text, with the pointer.
+
+    With ``until``, again every few seconds until an expression holds: what moves under the pointer is missed.
+    """
     find = f"[...document.querySelectorAll({json.dumps(selector)})].find((e) => e.textContent === {json.dumps(text)})"
     wait(browser, f"!!{find} && !{find}.disabled")
-    x, y = browser.run(
-        f"(() => {{ const e = {find}; e.scrollIntoView({{block: 'center'}}); const r = e.getBoundingClientRect(); "
-        "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
-    )
-    for kind in ("mousePressed", "mouseReleased"):
-        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    end = time.monotonic() + WAIT_S
+    while True:
+        x, y = browser.run(
+            f"(() => {{ const e = {find}; e.scrollIntoView({{block: 'center'}}); const r = e.getBoundingClientRect(); "
+            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        again = time.monotonic() + AGAIN_S
+        while until is not None and not browser.run(until) and time.monotonic() < again:
+            time.sleep(0.05)
+        if until is None or browser.run(until):
+            return
+        assert time.monotonic() < end, f"{until}: {browser.run('document.body.innerText')[:2000]}"
