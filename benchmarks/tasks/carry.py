@@ -6,22 +6,15 @@
 from __future__ import annotations
 
 import argparse
-import statistics
-import time
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from benchmarks.tables import print_table
+from benchmarks.tasks.drawn import COLUMNS, carry_out_draws
 from costs.robot import load_robot
-from service.errors import RequestError
-from service.planner import plan
 from service.request.file import parse_request
-from service.result.result import Verdict
-from service.simulation.options import SimulationOptions
-from service.simulation.run import execute_motion
-from service.simulation.verdict import judge
 
 PLATE_M = 0.04  # thickness of tables
 KINDS = ("one", "both")
@@ -108,31 +101,10 @@ def main() -> None:
     given = parser.parse_args()
     robot, rows = load_robot("atlas", hand="gripper"), []
     for kind in given.kinds:
-        times, certified, done = [], 0, 0
-        for seed in range(given.seed, given.seed + given.count):
-            rng = np.random.default_rng([seed, KINDS.index(kind)])
-            request = parse_request(draw_one(rng) if kind == "one" else draw_both(rng))
-            started = time.process_time()
-            try:
-                result = plan(request, robot=robot)
-            except RequestError as error:  # the draw has the robot inside its furniture
-                print(f"{kind} {seed}: no start: {error}", flush=True)
-                continue
-            times.append(time.process_time() - started)
-            text = f"{kind} {seed}: {result.verdict.value} in {times[-1]:.1f} s"
-            if result.verdict is Verdict.CERTIFIED and result.motion is not None:
-                certified += 1
-                options = SimulationOptions(perturb=given.perturb, seed=seed)
-                runs = execute_motion(result.motion, request, result.verdict.value, "", options)
-                verdicts = [judge(run.reference, run.record, run.model.physics) for run in runs]
-                done += all(verdict.verdict == "DONE" for verdict in verdicts)
-                text += "".join(f", {verdict.verdict} {'; '.join(verdict.reasons)[:160]}" for verdict in verdicts)
-            else:
-                text += f": {' '.join(result.explanation)[:300]}"
-            print(text, flush=True)
-        median, longest = f"{statistics.median(times):.1f}", f"{max(times):.1f}"
-        rows.append([kind, f"{certified} of {len(times)}", f"{done} of {len(times)}", median, longest])
-    print_table("Objects carried", ["hands", "certified", "done", "median CPU [s]", "longest [s]"], rows)
+        seeds, draw = range(given.seed, given.seed + given.count), draw_one if kind == "one" else draw_both
+        draws = ((seed, parse_request(draw(np.random.default_rng([seed, KINDS.index(kind)])))) for seed in seeds)
+        rows.append([kind, *carry_out_draws(kind, draws, given.perturb, robot)])
+    print_table("Objects carried", ["hands", *COLUMNS], rows)
 
 
 if __name__ == "__main__":

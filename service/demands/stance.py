@@ -19,15 +19,11 @@ from service.start.resting import SUPPORT_DEPTH_M
 from service.start.standing import FEET_GROUP, is_level, list_carrying_pieces, sole_corners
 from service.verify import STANDING_DEPTH_M, PlantedContact, SupportPolygon, find_normals
 
-UNSETTLED = (
-    "escape",
-    "raise",
-    "settle",
-)  # phases that bring a robot into balance, in the order in which they may come first
+# Phases that bring a robot into balance, in the order in which they may come first.
+UNSETTLED = ("escape", "raise", "settle")
 BALANCE_RESERVE = 2e-3  # the optimiser aims this much further inside; a start with less may settle first [m]
-REGION_RESERVE_M = (
-    6e-3  # by which the region that sloping feet hold is smaller than the hull of their soles, with some room
-)
+# By which the region that sloping feet hold is smaller than the hull of their soles, with some room.
+REGION_RESERVE_M = 6e-3
 ONE_LEVEL_M = 0.015  # difference of height of soles that stand on one level
 SLOPE_TILT_RAD = float(np.deg2rad(3.0))  # between the plane of a sloping sole and the ground under it
 DEPTH_ROUNDING = 1e-4  # by which a pair may be deeper than it was measured at the start [m]

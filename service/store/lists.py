@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from service.store.database import Database
 from service.store.errors import DamagedError
 from service.store.plans import Plans
-from service.store.records import Decision, PlanRecord, PlanState, Review
+from service.store.records import PlanRecord, PlanState, Review
 from service.store.reviews import Reviews
 
 # A plan that somebody has to decide on: it can be accepted, and nobody has decided, or the acceptance has expired.
 _NEEDS_REVIEW = (
-    "state = 'finished' AND plan_sha256 != '' AND certificate_sha256 != '' AND ifnull((SELECT decision = 'ACCEPTED' "
-    "AND expires <= :now FROM reviews WHERE reviews.plan_id = plans.plan_id ORDER BY number DESC LIMIT 1), 1)"
+    "(state = 'finished' AND plan_sha256 != '' AND certificate_sha256 != '' AND ifnull((SELECT decision = 'ACCEPTED' "
+    "AND expires <= :now FROM reviews WHERE reviews.plan_id = plans.plan_id ORDER BY number DESC LIMIT 1), 1))"
 )
 
 
@@ -45,6 +45,7 @@ class ListedPlan:
         number: its place in the store; a page goes on below the last one's.
         plan: None if it is damaged.
         reviews: oldest first.
+        needs_review: whether it waits for a decision: it can be accepted, and no decision about it is valid.
         damage: why it cannot be read; empty otherwise.
     """
 
@@ -52,6 +53,7 @@ class ListedPlan:
     plan_id: str
     plan: PlanRecord | None
     reviews: tuple[Review, ...] = ()
+    needs_review: bool = False
     damage: str = ""
 
 
@@ -98,28 +100,21 @@ class Lists:
             names = sorted(state.value for state in wanted.states)
             conditions.append(f"state IN ({', '.join(repr(name) for name in names)})")
         if wanted.needs_review:
-            conditions.append(f"({_NEEDS_REVIEW})")
+            conditions.append(_NEEDS_REVIEW)
         values = {"since": wanted.since, "below": below, "client": wanted.client, "kind": wanted.kind}
         with self._database.reading() as db:
             rows = db.execute(
-                f"SELECT number, plan_id FROM plans WHERE {' AND '.join(conditions)} ORDER BY number DESC LIMIT :n",
+                f"SELECT number, plan_id, {_NEEDS_REVIEW} AS needs_review FROM plans "
+                f"WHERE {' AND '.join(conditions)} ORDER BY number DESC LIMIT :n",
                 {**values, "now": self._clock(), "n": n_plans},
             ).fetchall()
-        return tuple(self._read(row["number"], row["plan_id"]) for row in rows)
+        return tuple(self._read(row["number"], row["plan_id"], bool(row["needs_review"])) for row in rows)
 
-    def _read(self, number: int, plan_id: str) -> ListedPlan:
+    def _read(self, number: int, plan_id: str, needs_review: bool) -> ListedPlan:
         try:
-            return ListedPlan(number, plan_id, self._plans.get(plan_id), self._reviews.find(plan_id))
+            return ListedPlan(number, plan_id, self._plans.get(plan_id), self._reviews.find(plan_id), needs_review)
         except DamagedError as error:
             return ListedPlan(number, plan_id, None, damage=str(error))
-
-    def needs_review(self, listed: ListedPlan) -> bool:
-        """Return whether a plan waits for a decision: it can be accepted, and no decision about it is valid."""
-        plan = listed.plan
-        if plan is None or plan.state is not PlanState.FINISHED or not (plan.plan_sha256 and plan.certificate_sha256):
-            return False
-        last = listed.reviews[-1] if listed.reviews else None
-        return last is None or (last.decision is Decision.ACCEPTED and last.expires <= self._clock())
 
     def find_scenes(
         self, client: str = "", since: float = 0.0, n_scenes: int = 50, below: int | None = None

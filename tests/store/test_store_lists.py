@@ -74,7 +74,7 @@ def test_a_plan_waits_for_a_decision_until_there_is_one_and_again_when_the_accep
     assert _ids(store, wanted) == [fresh]
     clock.now += 2 * DAY_S
     assert _ids(store, wanted) == [fresh, accepted]
-    needs = {listed.plan_id for listed in store.lists.find_plans(PlanFilter(), 100) if store.lists.needs_review(listed)}
+    needs = {listed.plan_id for listed in store.lists.find_plans(PlanFilter(), 100) if listed.needs_review}
     assert needs == {fresh, accepted}
     assert without_motion not in needs
     _review(store, accepted, Decision.REJECTED)
@@ -104,7 +104,7 @@ def test_a_damaged_plan_is_listed_with_its_damage(tmp_path: Path) -> None:
         first, second = store.lists.find_plans(PlanFilter(), 10)
         assert (first.plan_id, first.plan) == (damaged, None)
         assert "damaged" in first.damage
-        assert not store.lists.needs_review(first)
+        assert not first.needs_review
         assert second.plan is not None
         assert second.plan_id == sound
 

@@ -70,8 +70,8 @@ async def review_plan(
     """
     opened = _find_opened(session, plan_id)
     record = opened.record
-    if shown != (record.result.trajectory.sha256, record.result.certificate.sha256, record.page_sha256):
-        raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
+    hashes = record.result.trajectory.sha256, record.result.certificate.sha256, record.page_sha256
+    _require_shown(record, shown == hashes)
     await session.client.review(record, accept=is_accepted, comment=comment, despite=despite)
     stored = await session.client.get_plan(plan_id)
     session.keep_opened(plan_id, OpenedPlan(stored.record, opened.page))
@@ -88,10 +88,8 @@ async def execute_plan(
         ServiceError: the page showed another trajectory, or something changed and was not acknowledged.
         PlannerError: the server refuses the plan.
     """
-    opened = _find_opened(session, plan_id)
-    record = opened.record
-    if trajectory_sha256 != record.result.trajectory.sha256:
-        raise ServiceError(f"plan {plan_id} was opened again since, and is not what this page shows; open it again")
+    record = _find_opened(session, plan_id).record
+    _require_shown(record, trajectory_sha256 == record.result.trajectory.sha256)
     if not record.reviews or record.reviews[-1].decision != Decision.DECISION_ACCEPTED:
         raise RequestError(f"plan {plan_id} is not accepted; accept it first")
     # A server without a key signs no approvals, and could not tell that this one was withdrawn.
@@ -109,6 +107,13 @@ def _find_opened(session: OperatorSession, plan_id: str) -> OpenedPlan:
     if opened is None:
         raise RequestError(f"plan {plan_id} is not open; open it and look at it first")
     return opened
+
+
+def _require_shown(record: PlanRecord, is_shown: bool) -> None:
+    if not is_shown:
+        raise ServiceError(
+            f"plan {record.plan_id} was opened again since, and is not what this page shows; open it again"
+        )
 
 
 def _make_listed_row(plan: PlanSummary) -> dict[str, Any]:

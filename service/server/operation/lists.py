@@ -90,7 +90,7 @@ class ListHandlers:
             created=encode_time(plan.created),
             finished=None if plan.finished is None else encode_time(plan.finished),
             is_approved=self._store.reviews.is_valid(listed.reviews),
-            needs_review=self._store.lists.needs_review(listed),
+            needs_review=listed.needs_review,
             trajectory_sha256=plan.plan_sha256,
             certificate_sha256=plan.certificate_sha256,
             page_sha256=plan.page_sha256,
