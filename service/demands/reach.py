@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from costs.kinematics import locate_frame
 from costs.robot import RobotModel
 from service.demands.kind import DemandPart, Shown
 from service.demands.passes import choose_alternative, find_passes
@@ -80,8 +79,9 @@ def _list_name_problems(field: str, part: GoalPartRequest, request: PlanRequest,
         if pose.relative_to is None:
             continue
         yield from find_unknown_links(robot, (pose.relative_to,), f"{field}poses[{index}].relative_to")
-        frames = [frame for frame in (pose.link, pose.relative_to) if robot.model.existFrame(frame)]
-        if len(frames) == 2 and len({locate_frame(robot, frame)[0] for frame in frames}) == 1:
+        model = robot.model
+        known = [name for name in (pose.link, pose.relative_to) if model.existFrame(name)]
+        if len(known) == 2 and len({model.frames[model.getFrameId(name)].parentJoint for name in known}) == 1:
             yield (
                 f"{field}poses[{index}].relative_to: {pose.relative_to} moves with {pose.link}: no motion "
                 "changes the pose between them; expected the world or another link"

@@ -130,6 +130,18 @@ def test_goals_that_break_a_kept_region_are_refused_at_once(arm: Path) -> None:
     result = plan(ask(arm, goal, {"link": "tip", "region": {"about_z_deg": 20.0}}))
     assert result.verdict.value == "INFEASIBLE"
     assert "the goal leaves what keep demands" in result.explanation[0]
+    below = {"poses": [{"link": "tip", "region": {"z_max_m": -0.2, "x_min_m": 0.5}}]}
+    flat = {"link": "tip", "position": [0, 0, 0], "quaternion_wxyz": UPRIGHT, "rotation_tolerance_deg": 180.0}
+    result = plan(ask(arm, below, {**flat, "region": {"z_min_m": 0.1}}))
+    assert result.verdict.value == "INFEASIBLE"
+    assert result.explanation == ("the goal of tip is 0.300 m outside of the region that keep demands of it",)
+
+
+def test_a_region_beyond_the_arm_is_out_of_reach(arm: Path) -> None:
+    for region in ({"z_min_m": 2.5}, {"x_max_m": -1.9, "radius_m": 3.0}):
+        result = plan(ask(arm, {"poses": [{"link": "tip", "region": region}]}))
+        assert result.verdict.value == "INFEASIBLE"
+        assert "cannot reach its region" in result.explanation[0]
 
 
 def test_of_several_goals_each_says_why_it_is_out_of_reach(arm: Path) -> None:
