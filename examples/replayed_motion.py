@@ -176,14 +176,20 @@ class Replay:
         return float((b - a) ** 2 / 8 * (speed @ weight @ speed + near @ bend) + line + slerp) + 1e-9
 
     def highest(
-        self, phase: dict, value: Callable[[float], float], leaving: Callable[[float, float], float], allowed: float
+        self,
+        phase: dict,
+        value: Callable[[float], float],
+        leaving: Callable[[float, float], float],
+        allowed: float,
+        span: tuple[float, float] | None = None,
     ) -> float:
         """Bound a convex value on a phase: the largest at the ends of chords, plus how far the path leaves them.
 
-        Chords are halved as long as the value at the ends is allowed and the sum is not.
+        Chords are halved as long as the value at the ends is allowed and the sum is not, on the phase or on ``span``.
         """
-        first, last = self.samples[phase["first"]], self.samples[phase["last"]]
+        first, last = (self.samples[phase["first"]], self.samples[phase["last"]]) if span is None else span
         edges = self.edges[(self.edges >= first) & (self.edges <= last)]
+        edges = edges if span is None else np.union1d(edges, span)
         parts = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]])
         chords, most, least = list(itertools.pairwise(parts.tolist())), -np.inf, 1e-4 * (last - first)
         while chords:

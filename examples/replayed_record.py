@@ -227,6 +227,13 @@ def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
             yield from (np.array(one["position"]), turn, np.array(one["position_tolerance_m"]))
             yield np.radians(one["rotation_tolerance_deg"])
             yield from (none if one[key] is None else np.array(one[key]) for key in ("free_axis", "slide"))
+        case "region":
+            yield from ("RegionTarget", one["frame"], none if one["reference"] is None else one["reference"])
+            yield from (np.array(one["position"]), turn, -_tolerance(_negate(one["lower_m"])))
+            yield from (_tolerance(one["upper_m"]), *(_tolerance([one[key]]) for key in ("radius_m", "distance_m")))
+            yield from (np.radians(_tolerance([one["turn_deg"]])), np.radians(_tolerance(one["turns_deg"])))
+            yield from (none if one[key] is None else np.array(one[key]) for key in ("axis", "look"))
+            yield from (np.radians(_tolerance([one["lean_deg"]])), np.array(one["during"]), at)
         case "way":
             yield from ("WayTarget", one["frame"], np.array(one["position"]), turn)
             yield from (np.array(one[k]) for k in ("centre", "axis", "angle_rad", "shift", "turn_rad"))
@@ -250,3 +257,7 @@ def _tolerance(values: list[float | None]) -> Array:
 
 def _rotation(quaternion_wxyz: list[float]) -> Array:
     return np.asarray(pin.Quaternion(np.roll(quaternion_wxyz, -1)).matrix())
+
+
+def _negate(values: list[float | None]) -> list[float | None]:
+    return [None if value is None else -value for value in values]

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from service.replay.exchange.joint_trajectory import JointTrajectory
     from service.replay.exchange.read import read_trajectory
     from service.request.file import load_request, parse_request, request_hash
+    from service.request.region import RegionRequest
     from service.request.schema import PlanRequest
-    from service.request.tasks.reach import GoalRequest, PoseGoalRequest
+    from service.request.tasks.reach import GoalPartRequest, GoalRequest, PoseGoalRequest
     from service.result.folder import read_result
     from service.result.output import write_result
     from service.result.result import PlanResult
@@ -39,6 +40,7 @@ __all__ = [
     "Execution",
     "ExecutionError",
     "ExecutionSettings",
+    "GoalPartRequest",
     "GoalRequest",
     "IkSolution",
     "JointCommand",
@@ -51,6 +53,7 @@ __all__ = [
     "PoseClearance",
     "PoseGoalRequest",
     "ReachSession",
+    "RegionRequest",
     "RequestError",
     "ResultError",
     "RobotDriver",
@@ -92,7 +95,8 @@ _MODULES = {
     "request.file": ("load_request", "parse_request", "request_hash"),
     "tasks.queries": ("IkSolution", "PoseClearance", "SweepClearance", "clearance", "solve_ik", "sweep_clearance"),
     "request.schema": ("PlanRequest",),
-    "request.tasks.reach": ("GoalRequest", "PoseGoalRequest"),
+    "request.region": ("RegionRequest",),
+    "request.tasks.reach": ("GoalPartRequest", "GoalRequest", "PoseGoalRequest"),
     "result.folder": ("read_result",),
     "result.output": ("write_result",),
     "result.result": ("PlanResult",),

@@ -11,11 +11,14 @@ from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.on_guide import OnGuide
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
+from costs.terms.region import BeyondBall, BeyondBox, LookAt
 from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Positive, Scaled, Widened, WithinTolerance
 
 __all__ = [
     "AxisDirection",
     "Between",
+    "BeyondBall",
+    "BeyondBox",
     "CartTableZmpInPolygon",
     "CentreOfMassAt",
     "CentreOfMassInPolygon",
@@ -31,6 +34,7 @@ __all__ = [
     "JointDifference",
     "JointTarget",
     "JointTorque",
+    "LookAt",
     "Masked",
     "MechanismBalance",
     "NormWithin",

@@ -19,7 +19,7 @@ SMALLEST_SINE = 1e-12  # below it an axis has no direction across another
 OPPOSITE_SINE = 1e-4  # below it an axis counts as opposite its direction [rad]
 
 
-class _Frame:
+class FramePlace:
     """A frame carried by a joint (joint 0 is the world, which does not move), moved by an offset (in the frame)."""
 
     def __init__(self, robot: RobotModel, name: str | None, offset: Float[np.ndarray, "#S 4 4"] = _IDENTITY) -> None:
@@ -72,9 +72,9 @@ class FramePose(Residual[MotionState]):
         self._waypoints = np.asarray(waypoints)
         self._axes: Bool[np.ndarray, "6"] = np.asarray(axes, dtype=bool)
         self._turns = bool(self._axes[3:].any())
-        self._frame = _Frame(robot, frame, _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None])
+        self._frame = FramePlace(robot, frame, _IDENTITY if offset is None else np.asarray(offset, dtype=float)[None])
         given = np.broadcast_to(np.asarray(target, dtype=float), (len(self._waypoints), 4, 4))
-        self._reference = _Frame(robot, reference, given)
+        self._reference = FramePlace(robot, reference, given)
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         return np.asarray(self._error(state.kinematics)[0][:, self._axes].ravel())
@@ -90,7 +90,7 @@ class FramePose(Residual[MotionState]):
         if self._turns:
             of_twist[:, 3:, 3:] = log_derivative(error[:, 3:]) @ to_target
         columns = of_twist[:, self._axes] @ kinematics.jacobian[here]
-        columns *= _relative_axes(kinematics, self._frame, self._reference)
+        columns *= relative_axes(kinematics, self._frame, self._reference)
         return make_waypoint_rows(error[:, self._axes], kinematics.topology.add_followers(columns), here, kinematics)
 
     def _error(
@@ -131,15 +131,15 @@ class AxisDirection(Residual[MotionState]):
             reference: frame the direction is given in; the world if None.
         """
         self._waypoints = np.asarray(waypoints)
-        self._frame = _Frame(robot, frame)
-        self._reference = _Frame(robot, reference)
+        self._frame = FramePlace(robot, frame)
+        self._reference = FramePlace(robot, reference)
         self._axis = _unit(axis)
         self._direction = _unit(direction)
         self._tangents = make_tangent_basis(self._direction)
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         along, tangential, _ = self._components(state.kinematics)
-        angle, unit, _ = _deviation(along, tangential)
+        angle, unit, _ = measure_deviation(along, tangential)
         return np.asarray((angle[:, None] * unit).ravel())
 
     def linearize(self, state: MotionState) -> AffineRows:
@@ -150,10 +150,10 @@ class AxisDirection(Residual[MotionState]):
         turned = -(rotation.transpose(0, 2, 1) @ skew(world_axis))
         basis = np.concatenate([self._direction[None], self._tangents])
         moved = basis @ turned @ kinematics.jacobian[here, 3:]
-        moved *= _relative_axes(kinematics, self._frame, self._reference)
+        moved *= relative_axes(kinematics, self._frame, self._reference)
         moved = kinematics.topology.add_followers(moved)
         d_along, d_tangential = moved[:, 0], moved[:, 1:]
-        angle, unit, across = _deviation(along, tangential)
+        angle, unit, across = measure_deviation(along, tangential)
         d_sine = (unit[:, None] @ d_tangential)[:, 0]
         d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
         rows = across[:, None, None] * d_tangential
@@ -171,7 +171,7 @@ class AxisDirection(Residual[MotionState]):
         return local @ self._direction, local @ self._tangents.T, world_axis
 
 
-def _deviation(
+def measure_deviation(
     cosine: Float[np.ndarray, "S"], tangential: Float[np.ndarray, "S 2"]
 ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S 2"], Float[np.ndarray, "S"]]:
     """Return the angle, the unit tangent of the deviation, and the rows' change per change across it [rad/rad].
@@ -213,7 +213,7 @@ class PointHalfSpace(Residual[MotionState]):
         self._waypoints = np.asarray(waypoints)
         local = np.eye(4)[None].copy()
         local[0, :3, 3] = np.zeros(3) if point is None else point
-        self._frame = _Frame(robot, frame, local)
+        self._frame = FramePlace(robot, frame, local)
         self._normal = _unit(normal)
         self._offset = float(offset)
 
@@ -229,7 +229,7 @@ class PointHalfSpace(Residual[MotionState]):
         return make_waypoint_rows((position @ self._normal - self._offset)[:, None], rows[:, None], here, kinematics)
 
 
-def _relative_axes(kinematics: Kinematics, frame: _Frame, reference: _Frame) -> Float[np.ndarray, "m"]:
+def relative_axes(kinematics: Kinematics, frame: FramePlace, reference: FramePlace) -> Float[np.ndarray, "m"]:
     """Return by axis 1 where it moves the frame alone, -1 where the reference alone, 0 where both or none."""
     moves = kinematics.topology.moves
     if not reference.joint:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,15 +10,12 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
-from costs.kinematics import Kinematics, KinematicsEngine, locate_frame, locate_links
+from costs.kinematics import Kinematics, KinematicsEngine, locate_links
 from costs.robot import RobotModel
 from costs.state import MotionState
 from costs.stopping import poll
 from costs.terms import AxisDirection, FramePose, NormWithin
 from scopt import Constraint, Residual, Sense
-from service.demands.targets import find_free_axis, make_kept_pose
-from service.errors import RequestError
-from service.request.schema import KeepRequest
 from service.verify import RelativePoseTarget
 
 Hold = Callable[[Int[np.ndarray, "S"]], Residual[MotionState]]
@@ -163,6 +160,15 @@ class KeptPose:
         return f"{self.link} relative to {self.reference or 'the world'}"
 
     @property
+    def is_whole(self) -> bool:
+        """Yes: it is kept along the whole motion."""
+        return True
+
+    def place(self, shares: Float[np.ndarray, "T"]) -> KeptPose:
+        """Return the pose for waypoints at these shares of the path, which is the same."""
+        return self
+
+    @property
     def is_held(self) -> tuple[bool, bool]:
         """Whether position and orientation are held, instead of moving within a region."""
         return self.position_tolerance_m <= REGION_M, self.rotation_tolerance_rad <= REGION_RAD
@@ -244,68 +250,9 @@ class KeptPose:
         return position, AxisDirection(robot, self.link, waypoints, self.free_axis, direction, self.reference)
 
 
-def make_kept_poses(
-    robot: RobotModel, start: Float[np.ndarray, "n"], keep: Sequence[KeepRequest]
-) -> tuple[KeptPose, ...]:
-    """Return the poses that a request keeps from the configuration ``start`` on.
-
-    Raises:
-        RequestError: a pair is named twice or cannot move, or is not at its wanted pose at the start.
-    """
-    kept = tuple(_make_kept_pose(robot, start, entry) for entry in keep)
-    problems = [line for index in range(len(keep)) for line in _find_problems(robot, start, kept, index)]
-    if problems:
-        raise RequestError(problems)
-    return kept
-
-
-def _make_kept_pose(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> KeptPose:
-    held = relative_pose(robot, start, keep.link, keep.relative_to)
-    return KeptPose(
-        keep.link,
-        keep.relative_to,
-        held,
-        make_kept_pose(keep, held),
-        keep.position_tolerance_m,
-        float(np.deg2rad(keep.rotation_tolerance_deg)),
-        find_free_axis(keep),
-    )
-
-
 def relative_pose(
     robot: RobotModel, q: Float[np.ndarray, "n"], link: str, reference: str | None
 ) -> Float[np.ndarray, "4 4"]:
     """Return ``pose_reference_link`` at a configuration."""
     poses = locate_links(KinematicsEngine(robot), q, [link] if reference is None else [link, reference])
     return poses[link] if reference is None else np.linalg.inv(poses[reference]) @ poses[link]
-
-
-def _find_problems(
-    robot: RobotModel, start: Float[np.ndarray, "n"], kept: Sequence[KeptPose], index: int
-) -> Iterator[str]:
-    """Yield reasons why a kept pose cannot be kept."""
-    pose, field = kept[index], f"keep[{index}]"
-    pairs = [{other.link, other.reference} for other in kept[:index]]
-    if {pose.link, pose.reference} in pairs:
-        yield f"{field}: {pose.name} is kept by keep[{pairs.index({pose.link, pose.reference})}] already; leave one out"
-    joint = locate_frame(robot, pose.link)[0]
-    if joint == (0 if pose.reference is None else locate_frame(robot, pose.reference)[0]):
-        yield f"{field}: no joint moves {pose.name}; leave it out"
-    distance, angle = pose.errors(pose.held)
-    shares = [START_SHARE if is_held else REGION_SHARE for is_held in pose.is_held]
-    if distance > shares[0] * pose.position_tolerance_m:
-        most = 1e3 * shares[0] * pose.position_tolerance_m
-        yield (
-            f"{field}: at the start {pose.name} is {1e3 * distance:.1f} mm off the requested position; "
-            f"expected at most {most:.2g} mm, {_describe_share(shares[0])} of position_tolerance_m"
-        )
-    if angle > shares[1] * pose.rotation_tolerance_rad:
-        most = np.rad2deg(shares[1] * pose.rotation_tolerance_rad)
-        yield (
-            f"{field}: at the start {pose.name} is {np.rad2deg(angle):.1f} deg off the requested orientation; "
-            f"expected at most {most:.2g} deg, {_describe_share(shares[1])} of rotation_tolerance_deg"
-        )
-
-
-def _describe_share(share: float) -> str:
-    return "half" if share == START_SHARE else f"{100.0 * share:.0f} %"

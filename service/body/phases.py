@@ -139,13 +139,14 @@ class PhaseSolver:
             bounds(lower, upper)
         checker = self.body.make_checker(allowances, list(fixed.values()), self.overrides)
         terms = self._add_own_terms(name, len(lower), costs, constraints)
-        problem = self.body.make_problem(lower, upper, checker, *terms, balanced, regions)
+        problem = self.body.place_kept(start).make_problem(lower, upper, checker, *terms, balanced, regions)
         return self._solve(name, problem, start)
 
     def is_feasible(self, q: Float[np.ndarray, "T n"], constraints: Sequence[Constraint[MotionState]] = ()) -> bool:
         """Return whether a trajectory keeps all constraints between its ends as it is."""
         lower, upper = self.body.bounds(len(q), {0: q[0], len(q) - 1: q[-1]})
-        problem = self.body.make_problem(lower, upper, self.body.make_checker((), [q[0], q[-1]]), (), constraints)
+        checker = self.body.make_checker((), [q[0], q[-1]])
+        problem = self.body.place_kept(q).make_problem(lower, upper, checker, (), constraints)
         return keeps_constraints(problem, q)
 
     def restore_feasibility(self, step: str, solved: Solved) -> Solved:

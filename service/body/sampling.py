@@ -246,6 +246,8 @@ def sample_path(
         tree: seed and effort.
         is_over: polled often; True ends the search.
     """
+    if not all(problem.is_clear(end[None]) for end in problem.ends):
+        return None  # OMPL would wait for another goal until the time is up
     from ompl import util  # slow to import, and rarely needed
 
     util.setLogLevel(util.LOG_NONE)

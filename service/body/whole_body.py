@@ -38,11 +38,13 @@ from costs.terms import (
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
-from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, KeptPose, project_onto_holds
+from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
+from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.verify import PlantedContact
 
+BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
@@ -110,7 +112,7 @@ class WholeBody:
     polygon: SupportPolygon | None
     nominal: Float[np.ndarray, "n"]
     aims: Aims
-    kept: tuple[KeptPose, ...] = ()
+    kept: tuple[Kept, ...] = ()
     has_default_costs: bool = True
     is_comfortable: bool = True
     wants_reserve: bool = False
@@ -245,6 +247,16 @@ class WholeBody:
     def keeps_poses(self) -> bool:
         """Whether kept poses are held, so that only some configurations count; regions leave the others free."""
         return any(any(kept.is_held) for kept in self.kept)
+
+    def place_kept(self, path: Float[np.ndarray, "T n"]) -> WholeBody:
+        """Return the body with regions that hold on a part of the motion at the waypoints of that part of a path."""
+        if all(kept.is_whole for kept in self.kept):
+            return self
+        speed = np.where(np.isfinite(self.robot.velocity), self.robot.velocity, BASE_SPEED)
+        steps = (np.abs(np.diff(path, axis=0)) / speed).max(axis=1, initial=0.0)
+        shares = np.concatenate([[0.0], np.cumsum(steps)])
+        shares = shares / shares[-1] if shares[-1] > 0.0 else np.linspace(0.0, 1.0, len(path))
+        return replace(self, kept=tuple(kept.place(shares) for kept in self.kept))
 
     def holds(self) -> tuple[Hold, ...]:
         """Return the holds of every phase: planted links and kept poses."""

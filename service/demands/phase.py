@@ -23,6 +23,7 @@ from service.verify import (
     JointTarget,
     PoseTarget,
     PressedPart,
+    RegionTarget,
     RelativePoseTarget,
     Target,
 )
@@ -100,7 +101,7 @@ class FrameMotion:
         return np.asarray(self.place + out[:, None] * self.offset)
 
 
-EndTarget = JointTarget | PoseTarget | AxisTarget
+EndTarget = JointTarget | PoseTarget | AxisTarget | RegionTarget
 """A target at a path parameter ``at``."""
 
 
@@ -120,6 +121,7 @@ class TaskPhase:
         contacts: what carries the robot; None for its feet as they stand at the start.
         goal: targets at the end; their ``at`` is set from the motion.
         targets: further targets of the whole phase.
+        passes: targets at places on the way, with their path parameters; the planner's are in ``at_waypoints``.
         joints: joints of the robot that move in equal steps, from one value to another [rad, m].
         loads: forces that hands exert on the mechanism, each between zero and its largest.
         pushes: the contacts by which they exert them.
@@ -137,6 +139,7 @@ class TaskPhase:
     contacts: tuple[StanceContact, ...] | None = None
     goal: tuple[EndTarget, ...] = ()
     targets: tuple[Target, ...] = ()
+    passes: tuple[EndTarget, ...] = ()
     joints: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     loads: tuple[HandLoad, ...] = ()
     pushes: tuple[HandPush, ...] = ()
@@ -177,6 +180,7 @@ class TaskPhase:
             *(JointTarget(own[k], float(self.last[k]), JOINT_TOLERANCE, at) for k in self.moving),
             *(JointTarget(name, ends[1], JOINT_TOLERANCE, at) for name, ends in self.joints.items()),
             *(replace(target, at=at) for target in self.goal),
+            *self.passes,
         )
 
 

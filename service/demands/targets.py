@@ -11,16 +11,21 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.work_space import borrow_data
+from service.demands.regions import SMALLEST_SHIFT, SMALLEST_TURN, find_axis, make_goal_region, make_kept_region
 from service.request.schema import KeepRequest
-from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.verify import AxisTarget, JointTarget, PoseTarget, RelativePoseTarget
+from service.request.tasks.reach import GoalPartRequest, GoalRequest, PoseGoalRequest
+from service.verify import AxisTarget, JointTarget, PoseTarget, RegionTarget, RelativePoseTarget
 
 JOINT_TOLERANCE = 1e-3  # [rad, m]
-SMALLEST_SHIFT, SMALLEST_TURN = 1e-4, 1e-3  # tolerances below these are beyond the optimiser's [m, rad]
-AXES = {"x": 0, "y": 1, "z": 2}
 
 
-def find_goal_joints(robot: RobotModel, goal: GoalRequest, near: Float[np.ndarray, "n"]) -> Mapping[int, float]:
+GoalTarget = JointTarget | PoseTarget | AxisTarget | RegionTarget
+"""A target at a path parameter ``at``."""
+
+
+def find_goal_joints(
+    robot: RobotModel, goal: GoalRequest | GoalPartRequest, near: Float[np.ndarray, "n"]
+) -> Mapping[int, float]:
     """Return the goal's value by coordinate; a posture's base stays free, since the planted feet do not move.
 
     A joint without limits is at its goal after any number of turns; its value is the one nearest to ``near``. A value
@@ -42,8 +47,8 @@ def find_goal_joints(robot: RobotModel, goal: GoalRequest, near: Float[np.ndarra
 
 
 def make_goal_targets(
-    robot: RobotModel, goal: GoalRequest, near: Float[np.ndarray, "n"]
-) -> tuple[JointTarget | PoseTarget | AxisTarget, ...]:
+    robot: RobotModel, goal: GoalRequest | GoalPartRequest, near: Float[np.ndarray, "n"]
+) -> tuple[GoalTarget, ...]:
     """Return the targets of a phase's goal, whose path parameter the phase sets; joints by turns to ``near``."""
     return (
         *(
@@ -83,24 +88,29 @@ def make_goal_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None
     return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
 
 
-def _pose_targets(pose: PoseGoalRequest) -> tuple[PoseTarget | AxisTarget, ...]:
-    """Return a pose target, or a position and the direction of the free axis."""
+def _pose_targets(pose: PoseGoalRequest) -> tuple[PoseTarget | AxisTarget | RegionTarget, ...]:
+    """Return a pose target, or a position and the direction of the free axis, or a region."""
+    if not pose.is_plain:
+        return (make_goal_region(pose),)
     rotation = make_goal_rotation(pose)
     turn = max(np.deg2rad(pose.rotation_tolerance_deg), SMALLEST_TURN)
     place = np.full(3, max(pose.position_tolerance_m, SMALLEST_SHIFT))
-    position = np.asarray(pose.position, dtype=float)
-    if rotation is None or pose.free_axis == "none":
+    position, axis = np.asarray(pose.origin, dtype=float), find_axis(pose.free_axis)
+    if rotation is None or axis is None:
         return (PoseTarget(pose.link, position, rotation, place, np.full(3, turn)),)
-    axis = np.eye(3)[AXES[pose.free_axis]]
     return (
         PoseTarget(pose.link, position, None, place, np.full(3, np.inf)),
         AxisTarget(pose.link, axis, rotation @ axis, turn),
     )
 
 
-def make_kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest) -> RelativePoseTarget:
-    """Return the target of one kept pose, relative to the configuration at the start."""
+def make_kept_target(
+    robot: RobotModel, start: Float[np.ndarray, "n"], keep: KeepRequest
+) -> RelativePoseTarget | RegionTarget:
+    """Return the target of one kept pose or region, relative to the configuration at the start."""
     pose = make_kept_pose(keep, _relative_pose(robot, start, keep.link, keep.relative_to))
+    if not keep.is_plain:
+        return make_kept_region(keep, pose)
     return RelativePoseTarget(
         keep.link,
         keep.relative_to,
@@ -108,7 +118,7 @@ def make_kept_target(robot: RobotModel, start: Float[np.ndarray, "n"], keep: Kee
         pose[:3, :3],
         keep.position_tolerance_m,
         float(np.deg2rad(keep.rotation_tolerance_deg)),
-        find_free_axis(keep),
+        find_axis(keep.free_axis),
     )
 
 
@@ -120,11 +130,6 @@ def make_kept_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[n
     if keep.quaternion_wxyz is not None:
         wanted[:3, :3] = Rotation.from_quat(keep.quaternion_wxyz, scalar_first=True).as_matrix()
     return wanted
-
-
-def find_free_axis(keep: KeepRequest) -> Float[np.ndarray, "3"] | None:
-    """Return the unit axis of the link about which it may turn, or None."""
-    return None if keep.free_axis == "none" else np.eye(3)[AXES[keep.free_axis]]
 
 
 def _relative_pose(

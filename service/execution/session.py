@@ -121,6 +121,7 @@ class ReachSession:
         """Yield how far each joint or link of a goal is from its place at a configuration [rad, m]."""
         for index, value in find_goal_joints(self._engine.robot, goal, q).items():
             yield abs(float(q[index]) - value)
-        places = locate_links(self._engine, q, [pose.link for pose in goal.poses]) if goal.poses else {}
-        for pose in goal.poses:
-            yield float(np.linalg.norm(places[pose.link][:3, 3] - np.array(pose.position)))
+        poses = [pose for pose in goal.poses if pose.relative_to is None and pose.position is not None]
+        places = locate_links(self._engine, q, [pose.link for pose in poses]) if poses else {}
+        for pose in poses:
+            yield float(np.linalg.norm(places[pose.link][:3, 3] - np.array(pose.origin)))

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from costs.kinematics import locate_frame
 from costs.robot import RobotModel, read_joint_axis
 from service.body.holds import KeptPose, relative_pose
+from service.body.regions import KeptRegion
 from service.body.whole_body import WholeBody
 from service.verify import JointTarget, PoseTarget, Target, list_position_demands
 
@@ -117,11 +118,25 @@ def find_never_kept(body: WholeBody, targets: Sequence[Target]) -> tuple[str, ..
     """Return a sentence for each reason why a motion to the targets cannot keep the body's kept poses."""
     poses = [target for target in targets if isinstance(target, PoseTarget)]
     joints = {target.joint: target for target in targets if isinstance(target, JointTarget)}
-    return tuple(
-        line
-        for kept in body.kept
-        for line in (*_compare_distances(body.robot, kept, poses), *_check_given_joints(body, kept, joints))
-    )
+    lines: list[str] = []
+    for kept in body.kept:
+        if isinstance(kept, KeptPose):
+            lines += [*_compare_distances(body.robot, kept, poses), *_check_given_joints(body, kept, joints)]
+        elif kept.region.during[1] >= 1.0:
+            lines += _check_region(body, kept, joints)
+    return tuple(lines)
+
+
+def _check_region(body: WholeBody, kept: KeptRegion, joints: Mapping[str, JointTarget]) -> Iterator[str]:
+    """Yield a sentence when the goal gives all joints between two frames and leaves a region."""
+    frame, reference = kept.region.frame, kept.region.reference
+    between = _list_between(body, frame, reference)
+    if not all(name in joints for name in between):
+        return
+    end, play = _read_end(body, between, joints)
+    reach = max(chain_length(body.robot, reference, frame), 1.0)
+    for excess in kept.measure_excess(body.robot, end, {"m": play * reach, "rad": play}):
+        yield f"the goal leaves what keep demands: there the {excess} outside"
 
 
 def _compare_distances(robot: RobotModel, kept: KeptPose, poses: Sequence[PoseTarget]) -> Iterator[str]:
@@ -159,19 +174,31 @@ def _position_in(robot: RobotModel, link: str, frame: str) -> Float[np.ndarray, 
 
 def _check_given_joints(body: WholeBody, kept: KeptPose, joints: Mapping[str, JointTarget]) -> Iterator[str]:
     """Yield a sentence when the goal gives all joints of a kept pose's chain and breaks the pose."""
-    robot, supports = body.robot, body.engine.topology.supports
-    chain = supports[locate_frame(robot, kept.link)[0]]
-    if kept.reference is not None:
-        chain = chain ^ supports[locate_frame(robot, kept.reference)[0]]
-    between = [robot.joint_names[index] for index in np.flatnonzero(chain)]
+    robot, between = body.robot, _list_between(body, kept.link, kept.reference)
     if not all(name in joints for name in between):
         return
-    end = body.nominal.copy()
-    for name in between:
-        end[robot.joint_names.index(name)] = joints[name].value
+    end, play = _read_end(body, between, joints)
     distance, angle = kept.errors(relative_pose(robot, end, kept.link, kept.reference))
-    play = sum(joints[name].tolerance for name in between)
     reach = max(chain_length(robot, kept.reference, kept.link), 1.0)
     if distance > kept.position_tolerance_m + play * reach or angle > kept.rotation_tolerance_rad + play:
         error = f"{1e3 * distance:.0f} mm and {np.rad2deg(angle):.0f} deg"
         yield f"the goal does not keep {kept.name}: it is {error} off there"
+
+
+def _list_between(body: WholeBody, frame: str, reference: str | None) -> list[str]:
+    """Return the names of the coordinates that move a frame relative to another, or to the world."""
+    robot, supports = body.robot, body.engine.topology.supports
+    chain = supports[locate_frame(robot, frame)[0]]
+    if reference is not None:
+        chain = chain ^ supports[locate_frame(robot, reference)[0]]
+    return [robot.joint_names[index] for index in np.flatnonzero(chain)]
+
+
+def _read_end(
+    body: WholeBody, between: Sequence[str], joints: Mapping[str, JointTarget]
+) -> tuple[Float[np.ndarray, "n"], float]:
+    """Return the nominal configuration with coordinates at their targets, and the sum of their tolerances [rad, m]."""
+    end = body.nominal.copy()
+    for name in between:
+        end[body.robot.joint_names.index(name)] = joints[name].value
+    return end, sum(joints[name].tolerance for name in between)

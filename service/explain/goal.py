@@ -21,6 +21,7 @@ from costs.robot import BASE_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece
 from service.body.whole_body import WholeBody
 from service.explain.distance import find_never_kept, find_out_of_reach, find_too_far_apart, position_slack
+from service.explain.regions import find_contradicting_regions, find_regions_out_of_reach
 from service.start.overlaps import EXACT_ROUNDING_M, ExactShape, Overlap, find_overlaps_and_unresolved
 from service.verify import JointTarget, PoseTarget, Target, limits_rotation
 
@@ -68,7 +69,13 @@ def find_goal_reasons(body: WholeBody, targets: Sequence[Target]) -> GoalReasons
     overlaps = [*_check_joints(body, joints), *_check_poses(body, poses)]
     in_collision = [f"the goal is in collision: {o.text}" for o in overlaps if o.scope is OverlapScope.INSIDE]
     return GoalReasons(
-        (*_find_beyond_reach(body, poses), *in_collision, *find_never_kept(body, targets)),
+        (
+            *_find_beyond_reach(body, poses),
+            *find_regions_out_of_reach(body, targets),
+            *in_collision,
+            *find_never_kept(body, targets),
+            *find_contradicting_regions(body, targets),
+        ),
         tuple(f"the goal is too near to plan to: {o.text}" for o in overlaps if o.scope is OverlapScope.HULLS_ONLY),
         tuple(f"{o.text}; only its tolerance can free it" for o in overlaps if o.scope is OverlapScope.TOLERANCE),
     )

@@ -14,7 +14,7 @@ from costs.curve import Curve, TimeLaw
 from service.body.holds import DRIFT
 from service.body.monitor import Monitor
 from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
-from service.body.whole_body import WholeBody
+from service.body.whole_body import BASE_SPEED, WholeBody
 from service.demands.neighbours import make_neighbour_allowances
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import Pace, TimingSettings, keep_durations, slow_until_zmp_inside, time_curve
@@ -41,7 +41,6 @@ CHORD_TOLERANCE = 1e-3  # of an untimed path's samples, read linearly [rad, m]
 TIGHT_CHORD = 1e-5  # the same in phases that leave a place where the robot nearly touches
 CONTACT_CHORD = 1.2e-5  # the same where contacts change: points at an arm's end stay within a tenth of a millimetre
 HELD_CHORD_SHARE = 0.05  # the same with holds, of their drift: all joints of a chain add up
-BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 
 
 def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:

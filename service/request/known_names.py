@@ -82,8 +82,16 @@ def _find_joints(data: Mapping[str, Any], names: RobotNames) -> Iterator[str]:
 
 
 def _find_links(data: Mapping[str, Any], names: RobotNames) -> Iterator[str]:
-    poses, kept = _section(data, "goal").get("poses"), data.get("keep")
-    given = [(f"goal.poses[{index}].link", pose, "link") for index, pose in enumerate(_entries(poses))]
+    goal, kept = _section(data, "goal"), data.get("keep")
+    parts = [("goal", goal)]
+    for several in ("any_of", "via"):
+        parts += [(f"goal.{several}[{k}]", part) for k, part in enumerate(_entries(goal.get(several)))]
+    given = [
+        (f"{field}.poses[{index}].{key}", pose, key)
+        for field, part in parts
+        for index, pose in enumerate(_entries(part.get("poses")))
+        for key in ("link", "relative_to")
+    ]
     for index, keep in enumerate(_entries(kept)):
         given += [(f"keep[{index}].{key}", keep, key) for key in ("link", "relative_to")]
     feet = _section(data, "options").get("feet")

@@ -27,6 +27,7 @@ from service.verify import (
     PlantedContact,
     PoseTarget,
     PressedPart,
+    RegionTarget,
     RelativePoseTarget,
     SupportPolygon,
     Target,
@@ -283,6 +284,10 @@ _FREE_ANGLES = _Codec(
 _FREE_ANGLE = _Codec(
     lambda value, s: _FREE_ANGLES.write([value], s)[0], lambda data, s: float(_FREE_ANGLES.read([data], s)[0])
 )
+_FREE_NUMBER = _Codec(lambda value, s: _finite(value), lambda data, s: np.inf if data is None else float(data))
+_BOUNDS_BELOW = _Codec(
+    lambda value, s: _TOLERANCES.write(value, s), lambda data, s: -_TOLERANCES.read(_negate(data), s)
+)
 _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
     "pose": (
         PoseTarget,
@@ -324,6 +329,26 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
             "slide": _or_null(_VECTOR),
         },
     ),
+    "region": (
+        RegionTarget,
+        {
+            "frame": _TEXT,
+            "reference": _TEXT,
+            "position": _VECTOR,
+            "quaternion_wxyz": _ROTATION,
+            "lower_m": _BOUNDS_BELOW,
+            "upper_m": _TOLERANCES,
+            "radius_m": _FREE_NUMBER,
+            "distance_m": _FREE_NUMBER,
+            "turn_deg": _FREE_ANGLE,
+            "turns_deg": _FREE_ANGLES,
+            "axis": _or_null(_VECTOR),
+            "look": _or_null(_VECTOR),
+            "lean_deg": _FREE_ANGLE,
+            "during": _VECTOR,
+            "at": _or_null(_SAMPLE),
+        },
+    ),
     "way": (
         WayTarget,
         {
@@ -335,9 +360,7 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
             "angle_rad": _NUMBER,
             "shift": _VECTOR,
             "turn_rad": _VECTOR,
-            "tolerance_m": _Codec(
-                lambda value, s: _finite(value), lambda data, s: np.inf if data is None else float(data)
-            ),
+            "tolerance_m": _FREE_NUMBER,
             "rotation_tolerance_deg": _FREE_ANGLE,
             "free_axis": _or_null(_VECTOR),
             "speed_m_s": _or_null(_NUMBER),
@@ -359,6 +382,10 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
     "joint": (JointTarget, {"joint": _TEXT, "value": _NUMBER, "tolerance": _NUMBER, "at": _SAMPLE}),
 }
 """Class of each kind of target, and key and codec of each of its fields, in their order."""
+
+
+def _negate(bounds: Sequence[float | None]) -> list[float | None]:
+    return [None if bound is None else -bound for bound in bounds]
 
 
 def _write_target(target: Target, s: Float[np.ndarray, "S"]) -> dict[str, Any]:

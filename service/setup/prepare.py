@@ -15,7 +15,7 @@ from costs.progress import tells_progress
 from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
-from service.body.holds import KeptPose, make_kept_poses
+from service.body.kept import Kept, make_kept_poses
 from service.demands import World, compose_scene
 from service.demands.contacts.stances import ContactStance
 from service.demands.kind import ResolvedStart, find_demand_part
@@ -67,7 +67,7 @@ class PlanSetup:
     scene: Scene
     surroundings: Surroundings
     soles: Mapping[str, Float[np.ndarray, "C 3"]]
-    kept: tuple[KeptPose, ...]
+    kept: tuple[Kept, ...]
     program: Program | None
     overlaps: tuple[Overlap, ...]
     notes: tuple[str, ...]

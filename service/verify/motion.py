@@ -15,6 +15,7 @@ from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.carrying.carriers import Carrier
+from service.verify.region import RegionTarget
 
 FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]
@@ -391,7 +392,16 @@ class LoadedRegion:
     witnesses: Float[np.ndarray, "V W C 3"]
 
 
-Target = PoseTarget | CircleTarget | AxisTarget | RelativePoseTarget | WayTarget | JointWayTarget | JointTarget
+Target = (
+    PoseTarget
+    | CircleTarget
+    | AxisTarget
+    | RelativePoseTarget
+    | RegionTarget
+    | WayTarget
+    | JointWayTarget
+    | JointTarget
+)
 
 
 @dataclass(frozen=True)

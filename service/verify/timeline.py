@@ -55,6 +55,8 @@ def split_at_phases(motion: Motion, phases: tuple[Phase, ...]) -> tuple[Float[np
 
 
 def edges_within(edges: Float[np.ndarray, "E"], phase: Phase) -> Float[np.ndarray, "F"]:
-    """Return the edges within a phase, its ends included."""
+    """Return the edges within a phase or a part of one, its ends included."""
     tolerance = 1e-9 * max(1.0, abs(phase.last))
-    return np.asarray(edges[(edges >= phase.first - tolerance) & (edges <= phase.last + tolerance)])
+    inside = edges[(edges >= phase.first - tolerance) & (edges <= phase.last + tolerance)]
+    ends = [end for end in (phase.first, phase.last) if not np.any(np.abs(inside - end) <= tolerance)]
+    return np.union1d(inside, ends)

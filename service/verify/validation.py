@@ -18,6 +18,7 @@ from service.verify.motion import (
     Motion,
     Phase,
     PoseTarget,
+    RegionTarget,
     RelativePoseTarget,
     Target,
     VerifyError,
@@ -137,7 +138,7 @@ def _validate_phase(phase: Phase) -> None:
     _validate_contacts(phase)
     for target in phase.targets:
         what = f"target of '{_name_subject(target)}' in phase '{phase.name}'"
-        at = target.at if isinstance(target, JointTarget | PoseTarget | AxisTarget) else None
+        at = target.at if isinstance(target, JointTarget | PoseTarget | AxisTarget | RegionTarget) else None
         slack = _BORDER_TOLERANCE * max(1.0, abs(phase.last))
         if at is not None and not phase.first - slack <= at <= phase.last + slack:
             raise VerifyError(f"the {what} is at {at}, outside the phase ({phase.first} to {phase.last})")
@@ -146,7 +147,10 @@ def _validate_phase(phase: Phase) -> None:
             # An infinite tolerance frees; NaN must not.
             if not np.all(np.asarray(tolerance) >= 0.0):
                 raise VerifyError(f"the {what} needs tolerances that are not negative, got {tolerance}")
-        if isinstance(target, PoseTarget | RelativePoseTarget | WayTarget) and target.rotation is not None:
+        if (
+            isinstance(target, PoseTarget | RelativePoseTarget | RegionTarget | WayTarget)
+            and target.rotation is not None
+        ):
             _rigid(what, target.rotation)
 
 
@@ -208,6 +212,9 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
             )
         yield target.position
         return
+    if isinstance(target, RegionTarget):
+        yield from _region_places(target)
+        return
     if isinstance(target, JointWayTarget):
         if not len(target.joints) == len(target.first) == len(target.last):
             raise VerifyError(f"the way of the joints {', '.join(target.joints)} needs two values for each joint")
@@ -237,6 +244,18 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
             yield axis
 
 
+def _region_places(target: RegionTarget) -> Iterator[np.ndarray | float]:
+    """Yield the numbers of a region that must be finite; reject bounds and parts of the motion that are empty."""
+    if not np.all(target.lower <= target.upper) or np.any(target.lower == np.inf) or np.any(target.upper == -np.inf):
+        raise VerifyError(f"the region of '{target.frame}' is empty: {target.lower} to {target.upper}")
+    if not 0.0 <= target.during[0] <= target.during[1] <= 1.0:
+        raise VerifyError(f"the region of '{target.frame}' holds between shares of the path, got {target.during}")
+    if target.axis is not None and not abs(np.linalg.norm(target.axis) - 1.0) <= _UNIT_TOLERANCE:
+        raise VerifyError(f"axes of the target of '{target.frame}' must be unit vectors, got {target.axis}")
+    yield target.position
+    yield 0.0 if target.look is None else target.look
+
+
 def _list_axes(
     target: CircleTarget | AxisTarget | RelativePoseTarget | WayTarget,
 ) -> tuple[np.ndarray | None, ...]:
@@ -257,6 +276,8 @@ def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
         return target.position_tolerance_m, target.rotation_tolerance
     if isinstance(target, RelativePoseTarget):
         return target.position_tolerance_m, target.rotation_tolerance_rad
+    if isinstance(target, RegionTarget):
+        return target.radius_m, target.distance_m, target.turn_rad, target.turns_rad, target.lean_rad
     if isinstance(target, AxisTarget):
         return (target.tolerance_rad,)
     return target.tolerance_m, target.axis_tolerance_rad

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tiny_robots import PLANAR, SPATIAL, atlas, atlas_with_wheel, chain, contact_free_state, random_configurations
 
 from costs.kinematics import KinematicsEngine, locate_links
-from costs.terms import AxisDirection, FramePose, PointHalfSpace
+from costs.terms import AxisDirection, BeyondBall, BeyondBox, FramePose, LookAt, PointHalfSpace
 
 CASES = {
     "atlas hand": (atlas, "l_tool", None),
@@ -166,3 +166,45 @@ def test_a_zero_direction_and_an_unknown_frame_are_refused():
         AxisDirection(robot, "tip", [0], np.zeros(3), np.array([1.0, 0.0, 0.0]))
     with pytest.raises(KeyError, match="unknown frame 'top'"):
         FramePose(robot, "top", [0], np.eye(4))
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
+def test_look_at_jacobian(case, axis):
+    robot, frame, reference, x = case
+    place = np.random.default_rng(22).normal(size=3) * 2.0
+    term = LookAt(robot, frame, HERE, np.array(axis), place, reference)
+    check_jacobian(term, contact_free_state(robot), x)
+
+
+def test_look_at_is_the_angle_to_the_place(case):
+    robot, frame, reference, x = case
+    place = np.array([1.7, -0.4, 0.9])
+    rows = LookAt(robot, frame, HERE, np.array([0.0, 1.0, 0.0]), place, reference).value(contact_free_state(robot)(x))
+    for row, q in zip(rows.reshape(2, 2), x[HERE], strict=True):
+        poses = locate_links(KinematicsEngine(robot), q, [frame, *([reference] if reference else [])])
+        world = place if reference is None else poses[reference][:3, :3] @ place + poses[reference][:3, 3]
+        sight = world - poses[frame][:3, 3]
+        cosine = poses[frame][:3, 1] @ sight / np.linalg.norm(sight)
+        assert np.linalg.norm(row) == pytest.approx(np.arccos(cosine), abs=1e-9)
+
+
+def test_excesses_have_the_derivatives_of_what_is_beyond(case):
+    robot, frame, reference, x = case
+    state = contact_free_state(robot)
+    pose = FramePose(robot, frame, HERE, np.eye(4), (True, True, True, False, False, False), reference)
+    now = pose.value(state(x)).reshape(2, 3)
+    lower, upper = now.min(axis=0) - np.array([0.1, -0.2, 1.0]), now.max(axis=0) + np.array([-0.05, 1.0, 1.0])
+    lower, upper = np.minimum(lower, upper - 0.01), upper
+    check_jacobian(BeyondBox(pose, lower, upper), state, x)
+    for share in (0.4, 2.0):  # outside, and inside for the larger of the two
+        check_jacobian(BeyondBall(pose, 3, share * float(np.linalg.norm(now, axis=1).mean())), state, x)
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2), st.floats(0.05, 2.0))
+def test_what_is_beyond_a_ball_leads_to_its_border(joints, limit):
+    robot = chain(PLANAR)
+    q = np.resize(np.array(joints), robot.n)[None]
+    pose = FramePose(robot, "tip", [0], np.eye(4), (True, True, False, False, False, False))
+    state = contact_free_state(robot)(q)
+    inside = pose.value(state) - BeyondBall(pose, 2, limit).value(state)
+    assert np.linalg.norm(inside) == pytest.approx(min(limit, float(np.linalg.norm(pose.value(state)))), abs=1e-9)

@@ -11,10 +11,10 @@ from service.body.holds import (
     largest_hold_error,
     least_norm_step,
     linearize_holds,
-    make_kept_poses,
     project_onto_holds,
     project_within_limits,
 )
+from service.body.kept import make_kept_poses
 from service.request.schema import KeepRequest
 
 

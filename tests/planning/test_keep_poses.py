@@ -12,7 +12,8 @@ from tiny_robots import atlas, contact_free_state, random_configurations
 
 from costs.kinematics import KinematicsEngine
 from scopt import Sense
-from service.body.holds import KeptPose, make_kept_poses, relative_pose
+from service.body.holds import KeptPose, relative_pose
+from service.body.kept import make_kept_poses
 from service.errors import RequestError
 from service.request.schema import KeepRequest
 

@@ -9,7 +9,8 @@ from tiny_robots import atlas
 
 from costs.kinematics import locate_links
 from costs.scene import Scene
-from service.body.holds import largest_hold_error, make_kept_poses
+from service.body.holds import largest_hold_error
+from service.body.kept import make_kept_poses
 from service.body.paths import straight_path
 from service.body.seeds import BASE_SPREAD, JOINT_SPREAD, random_guesses
 from service.body.whole_body import Aims, WholeBody

@@ -8,7 +8,8 @@ from tiny_robots import atlas
 
 from costs.kinematics import locate_links
 from costs.scene import Scene
-from service.body.holds import make_kept_poses, project_onto_holds
+from service.body.holds import project_onto_holds
+from service.body.kept import make_kept_poses
 from service.body.whole_body import Aims, WholeBody
 from service.explain.distance import find_never_kept
 from service.request.schema import KeepRequest

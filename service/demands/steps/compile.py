@@ -22,10 +22,11 @@ from costs.rotation import turn_towards
 from costs.work_space import borrow_data
 from service.demands.grasping.gripper import Gripper
 from service.demands.hands import list_robot_hands
+from service.demands.regions import find_axis
 from service.demands.steps.holding import Holding
 from service.demands.steps.objects import Taking, list_grasp, list_release, make_fit
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
-from service.demands.targets import AXES, make_pose_goal
+from service.demands.targets import make_pose_goal
 from service.errors import RequestError, would_do
 from service.request.fields import HAND_FRICTION
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
@@ -191,7 +192,7 @@ def _keep_others(
 def _read_free(free_axis: str) -> dict[str, object]:
     if free_axis == "all":
         return {"turns_freely": True}
-    return {"free_axis": None if free_axis == "none" else np.eye(3)[AXES[free_axis]]}
+    return {"free_axis": find_axis(free_axis)}
 
 
 def _read_limits(step: MoveStep | ScrewStep | TouchStep | FollowStep) -> dict[str, float | None]:
@@ -263,13 +264,14 @@ def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalR
 
 def _lead_to_pose(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"], move: MoveStep) -> Led:
     """Return a frame on a line to a pose; a pose without orientation keeps the one that it has."""
-    shift = np.asarray(pose.position) - at[:3, 3]
+    shift = np.asarray(pose.origin) - at[:3, 3]
     free = pose.free_axis if pose.free_axis != "none" else move.free_axis
     turn = np.zeros(3)
     if pose.quaternion_wxyz is not None:
         wanted = Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix()
-        if free in AXES:
-            wanted = turn_towards(wanted[None], at[None, :3, :3], np.eye(3)[AXES[free]])[0]
+        axis = None if free == "all" else find_axis(free)
+        if axis is not None:
+            wanted = turn_towards(wanted[None], at[None, :3, :3], axis)[0]
         turn = Rotation.from_matrix(wanted @ at[:3, :3].T).as_rotvec()
     guide = Guide.line(at[:3, 3], at[:3, :3], shift, turn)
     return Led(pose.link, guide, **_read_free(free), **_read_limits(move))  # type: ignore[arg-type]

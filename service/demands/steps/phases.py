@@ -137,7 +137,7 @@ class StepPhase:
                 return np.asarray(end @ np.linalg.inv(begin) @ here)
         for pose in () if self.goal is None else self.goal.poses:
             if pose.link == name:
-                return pose_matrix(pose.position, pose.quaternion_wxyz) if pose.quaternion_wxyz else here
+                return pose_matrix(pose.origin, pose.quaternion_wxyz) if pose.quaternion_wxyz else here
         return here
 
     def demand(self, robot: RobotModel, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> TaskPhase:

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation, Slerp
 
+from costs.collision import Contacts
 from costs.kinematics import locate_links
 from costs.state import MotionState
 from costs.terms import AxisDirection, FramePose, Joined, NormWithin, WithinTolerance
 from scopt import Constraint
 from service.body.holds import POSITION, ROTATION, Hold, project_within_limits
+from service.body.regions import lead_into, limit_goal
 from service.body.whole_body import WholeBody
 from service.demands.phase import EndTarget
-from service.demands.targets import AXES, find_goal_joints, make_goal_rotation, make_goal_targets
-from service.request.tasks.reach import GoalRequest, PoseGoalRequest
+from service.demands.regions import find_axis, make_goal_region
+from service.demands.targets import find_goal_joints, make_goal_rotation, make_goal_targets
+from service.request.tasks.reach import GoalPartRequest, GoalRequest, PoseGoalRequest
 
 # Part of a pose's tolerance that the optimiser leaves to its own inaccuracy: a share of it, and no more than is needed.
 RESERVE_SHARE, MOST_RESERVE = 0.5, {"m": 2.5e-3, "rad": 0.02}
@@ -34,11 +37,11 @@ class Goal:
     """
 
     body: WholeBody
-    request: GoalRequest
+    request: GoalRequest | GoalPartRequest
     joints: Mapping[int, float]
 
     @staticmethod
-    def of(body: WholeBody, request: GoalRequest) -> Goal:
+    def of(body: WholeBody, request: GoalRequest | GoalPartRequest) -> Goal:
         """Return a request's goal; a posture's base stays free, since the feet are planted."""
         return Goal(body, request, find_goal_joints(body.robot, request, body.nominal))
 
@@ -53,11 +56,10 @@ class Goal:
         out[list(self.joints)] = list(self.joints.values())
         return out
 
-    def constraints(self, waypoint: int) -> list[Constraint[MotionState]]:
-        """Return the constraints of the goal's poses at a waypoint."""
-        return [
-            constraint for pose in self.request.poses for constraint in _pose_constraints(self.body, pose, waypoint)
-        ]
+    def constraints(self, waypoint: int, label: str = "") -> list[Constraint[MotionState]]:
+        """Return the constraints of the goal's poses at a waypoint; ``label`` ends their names."""
+        own = (each for pose in self.request.poses for each in _pose_constraints(self.body, pose, waypoint))
+        return [replace(constraint, name=constraint.name + label) for constraint in own]
 
     def fix_joints(self, lower: np.ndarray, upper: np.ndarray) -> None:
         """Fix the goal's joints at the last waypoint, in place."""
@@ -70,21 +72,23 @@ class Goal:
 
 
 def _pose_constraints(body: WholeBody, pose: PoseGoalRequest, waypoint: int) -> list[Constraint[MotionState]]:
-    """Return constraints of a link's position and orientation; of the latter perhaps only one axis."""
+    """Return constraints of a link's region, or of its position and orientation, perhaps of one axis alone."""
+    if not pose.is_plain:
+        return limit_goal(body.robot, make_goal_region(pose), waypoint)
     rotation = _find_limited_rotation(pose)
     target = np.eye(4)
-    target[:3, 3] = pose.position
+    target[:3, 3] = pose.origin
     if rotation is not None:
         target[:3, :3] = rotation
     robot, at = body.robot, [waypoint]
     position = FramePose(robot, pose.link, at, target, POSITION)
     constraints = [_keep_within(f"position of {pose.link}", position, 3, pose.position_tolerance_m, "m")]
     tolerance = np.deg2rad(pose.rotation_tolerance_deg)
-    if rotation is not None and pose.free_axis == "none":
+    axis = find_axis(pose.free_axis)
+    if rotation is not None and axis is None:
         orientation = FramePose(robot, pose.link, at, target, ROTATION)
         constraints.append(_keep_within(f"orientation of {pose.link}", orientation, 3, tolerance, "rad"))
-    elif rotation is not None:
-        axis = np.eye(3)[AXES[pose.free_axis]]
+    elif rotation is not None and axis is not None:
         direction = AxisDirection(robot, pose.link, at, axis, rotation @ axis)
         constraints.append(_keep_within(f"axis of {pose.link}", direction, 2, tolerance, "rad"))
     return constraints
@@ -141,14 +145,17 @@ def make_line_holds(goal: Goal, share: float) -> tuple[Hold, ...]:
 def _make_link_holds(
     body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
 ) -> tuple[Hold, ...]:
-    """Return holds of a link's position, and of its orientation as far as its goal gives it."""
+    """Return holds of a link's position, and of its orientation as far as its goal gives it; or of its region."""
+    if not pose.is_plain:
+        at_first = MotionState(body.engine(body.nominal[None]), Contacts.none())
+        return lead_into(body.robot, make_goal_region(pose), at_first, share)
     robot, rotation, target = body.robot, _find_limited_rotation(pose), np.eye(4)
-    target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.position)
+    target[:3, 3] = (1.0 - share) * first[:3, 3] + share * np.array(pose.origin)
     position: Hold = lambda waypoints: FramePose(robot, pose.link, waypoints, target, POSITION)  # noqa: E731
     if rotation is None:
         return (position,)
     target[:3, :3] = Slerp([0.0, 1.0], Rotation.from_matrix([first[:3, :3], rotation]))(share).as_matrix()
-    if pose.free_axis == "none":
+    axis = find_axis(pose.free_axis)
+    if axis is None:
         return position, lambda waypoints: FramePose(robot, pose.link, waypoints, target, ROTATION)
-    axis = np.eye(3)[AXES[pose.free_axis]]
     return position, lambda waypoints: AxisDirection(robot, pose.link, waypoints, axis, target[:3, :3] @ axis)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, count, islice
@@ -139,6 +139,22 @@ class GoalEnds:
             for row in np.lexsort((far, ~is_clear)).tolist():
                 if self._poses.is_new(arrived[row]) and (is_clear[row] or next(tried) < OVERLAPPING_TRIED):
                     yield "random within the limits", arrived[row]
+
+
+def order_goals(goals: Sequence[Goal]) -> list[Goal]:
+    """Return goals with the nearest to the nominal posture first: by the farthest joint to where each is led to.
+
+    Goals that are not reached in a few steps come last.
+    """
+
+    def measure(goal: Goal) -> float:
+        body = goal.body
+        if goal.is_complete:
+            return float(np.abs(goal.apply_joints(body.nominal) - body.nominal).max())
+        brought = next(bring_to_goal(body, goal), None)
+        return np.inf if brought is None else float(np.abs(brought[1] - body.nominal).max())
+
+    return sorted(goals, key=measure)
 
 
 def bring_to_goal(body: WholeBody, goal: Goal, q: Float[np.ndarray, "n"] | None = None) -> Iterator[Seed]:

@@ -30,8 +30,13 @@ class ReachPlanPart(PlanPart[GoalRequest]):
 
     def get_end(self, section: GoalRequest, setup: PlanSetup) -> RequestedEnd:
         """Return the goal's joints and poses."""
-        goal = Goal.of(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims()), section)
-        poses = tuple((pose.link, np.array(pose.position), make_goal_rotation(pose)) for pose in goal.request.poses)
+        body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims())
+        goal = Goal.of(body, section.alternatives[0])
+        poses = tuple(
+            (pose.link, np.array(pose.origin), make_goal_rotation(pose))
+            for pose in goal.request.poses
+            if pose.relative_to is None and pose.position is not None
+        )
         return RequestedEnd(goal.targets(), goal.apply_joints(setup.start) if goal.joints else None, poses)
 
     def displace(
@@ -39,9 +44,10 @@ class ReachPlanPart(PlanPart[GoalRequest]):
     ) -> tuple[PlanRequest, Surroundings | None]:
         """Displace the pose of a link."""
         assert request.goal is not None
-        check_displaceable(target, [pose.link for pose in request.goal.poses])
+        placed = [pose.link for pose in request.goal.poses if pose.relative_to is None and pose.position is not None]
+        check_displaceable(target, placed)
         poses = tuple(
-            replace(pose, position=displace_place(pose.position, offset)) if pose.link == target else pose
+            replace(pose, position=displace_place(pose.origin, offset)) if pose.link == target else pose
             for pose in request.goal.poses
         )
         return replace(request, goal=replace(request.goal, poses=poses)), around

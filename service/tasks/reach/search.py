@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, islice
@@ -16,14 +16,17 @@ from service.body.paths import bend_path, resample_path
 from service.body.phases import PhaseSolver, report_solutions
 from service.body.starts import DIRECT, End, Way, choose_policy
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
+from service.demands.passes import choose_alternative
 from service.demands.phase import TaskPhase
-from service.explain.goal import find_goal_reasons
+from service.demands.targets import make_goal_targets
+from service.explain.goal import GoalReasons, find_goal_reasons
 from service.request.tasks.reach import GoalRequest
 from service.tasks.hints import PhaseHints
 from service.tasks.nearby import find_clear_pose
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.reach.goal import Goal, lead_path
-from service.tasks.reach.goal_poses import STEP, GoalEnds
+from service.tasks.reach.goal_poses import STEP, GoalEnds, order_goals
+from service.tasks.reach.through import list_ways_through, pass_through
 
 RETREAT, REACH, APPROACH = "retreat", "reach", "approach"
 RESTORABLE = 10.0  # largest shortfall from which a restoration is tried
@@ -36,6 +39,8 @@ def plan_reach(
 ) -> Iterator[TaskPlan]:
     """Yield a plan of one phase for every start that leads to the goal; the best attempt if none does.
 
+    Of several goals the nearest come first; their starts are tried in turns.
+
     Args:
         solver: of the robot at its start.
         request: the goal.
@@ -43,12 +48,22 @@ def plan_reach(
         known: an earlier motion that led from near the start to near the goal.
     """
     body = solver.body
-    goal = Goal.of(body, request)
-    reasons = find_goal_reasons(body, goal.targets())
-    if reasons.impossible or reasons.unresolved:
-        yield TaskPlan(body, (), reasons.impossible or reasons.unresolved, is_impossible=bool(reasons.impossible))
+    goals = [Goal.of(body, part) for part in request.alternatives]
+    reasons = [find_goal_reasons(body, goal.targets()) for goal in goals]
+    passed = [find_goal_reasons(body, Goal.of(body, part).targets()) for part in request.via]
+    refusal = _refuse(reasons, passed)
+    if refusal is not None:
+        yield TaskPlan(body, (), refusal[0], is_impossible=refusal[1])
         return
-    reach = _Reach(solver, goal, n_waypoints, reasons.notes, known=known)
+    notes = tuple(note for each in reasons for note in each.notes)
+    open_goals = [goal for goal, own in zip(goals, reasons, strict=True) if not (own.impossible or own.unresolved)]
+    if request.via or len(goals) > 1:
+        reaches = [
+            Reach(solver, goal, n_waypoints, notes, known=known, whole=request) for goal in order_goals(open_goals)
+        ]
+        yield from _plan_in_turns(reaches, solver.most_starts)
+        return
+    reach = Reach(solver, goals[0], n_waypoints, notes, known=known, whole=request)
     solutions: Iterator[tuple[str, Solved]] = islice(reach.list_solutions(), solver.most_starts)
     first = next(solutions)
     if first[1].is_feasible:  # most requests end here
@@ -65,8 +80,44 @@ def plan_reach(
     yield from report_solutions(islice(around.list_solutions(), solver.most_starts - 1), around.make_plan)
 
 
+def _refuse(goals: Sequence[GoalReasons], passed: Sequence[GoalReasons]) -> tuple[tuple[str, ...], bool] | None:
+    """Return the reasons why no goal, or a place on the way, can be reached, and whether they hold for every motion."""
+    for k, place in enumerate(passed):
+        if place.impossible or place.unresolved:
+            lines = place.impossible or place.unresolved
+            return tuple(f"goal.via[{k}]: {line}" for line in lines), bool(place.impossible)
+    if not all(goal.impossible or goal.unresolved for goal in goals):
+        return None
+    is_impossible = all(goal.impossible for goal in goals)
+    if len(goals) == 1:
+        return goals[0].impossible or goals[0].unresolved, is_impossible
+    named = (f"goal.any_of[{k}]: {line}" for k, goal in enumerate(goals) for line in goal.impossible or goal.unresolved)
+    return tuple(named), is_impossible
+
+
+def _plan_in_turns(reaches: Sequence[Reach], most: int) -> Iterator[TaskPlan]:
+    """Yield plans of several reaches, one start of each after the other."""
+    owners: dict[int, tuple[Reach, Solved]] = {}
+
+    def take_turns() -> Iterator[tuple[str, Solved]]:
+        searches = [(reach, reach.list_solutions()) for reach in reaches]
+        while searches:
+            for entry in list(searches):
+                solution = next(entry[1], None)
+                if solution is None:
+                    searches.remove(entry)
+                    continue
+                owners[id(solution[1])] = entry[0], solution[1]
+                yield solution
+
+    def make_plan(name: str, solved: Solved) -> TaskPlan:
+        return owners[id(solved)][0].make_plan(name, solved)
+
+    yield from report_solutions(islice(take_turns(), most), make_plan)
+
+
 @dataclass(frozen=True)
-class _Reach:
+class Reach:
     """A reach, perhaps between short straight phases that lead off a start and to a goal that nearly touch something.
 
     Attributes:
@@ -74,6 +125,7 @@ class _Reach:
         retreat: from the start to where the reach begins.
         approach: from where the reach ends to the goal, with its targets.
         known: waypoints of an earlier motion.
+        whole: the request of the goal, with places on the way.
     """
 
     solver: PhaseSolver
@@ -83,9 +135,13 @@ class _Reach:
     retreat: PlannedPhase | None = None
     approach: PlannedPhase | None = None
     known: Path | None = None
+    whole: GoalRequest | None = None
 
     def list_solutions(self) -> Iterator[tuple[str, Solved]]:
         """Yield solved starts by name, feasible or not."""
+        if self.whole is not None and self.whole.via:
+            yield from list_ways_through(self.solver, self.goal, self.whole)
+            return
         ends = GoalEnds(self.solver, self.goal, None if self.known is None else self.known[-1])
         if ends.miss is not None:
             yield STEP, ends.miss
@@ -104,7 +160,7 @@ class _Reach:
             )
         )
 
-    def leave_tight_ends(self) -> _Reach | None:
+    def leave_tight_ends(self) -> Reach | None:
         """Return the reach between configurations off a start and a goal that nearly touch; None where neither does."""
         body, goal = self.solver.body, self.goal
         if body.robot.is_floating or body.kept:
@@ -138,8 +194,14 @@ class _Reach:
         body = self.solver.body
         q = np.concatenate([body.nominal[None], solved.x]) if is_pose else solved.x
         stuck = Stuck.at(STEP if is_pose else REACH, solved)
-        reach = TaskPhase(REACH, goal=() if self.approach is not None else self.goal.targets())
+        goal = self.goal.targets()
+        if self.whole is not None and self.whole.any_of:  # the one that the verifier takes the end for
+            part = self.whole.alternatives[choose_alternative(body.robot, self.whole, q[-1])]
+            goal = make_goal_targets(body.robot, part, q[-1])
+        reach = TaskPhase(REACH, goal=() if self.approach is not None else goal)
         phase = replace(self._compiler.keep(reach, q), is_feasible=solved.is_feasible)
+        if self.whole is not None and self.whole.via and solved.is_feasible:
+            phase = pass_through(phase, self.solver, self.goal, self.whole)
         if self.retreat is not None:
             body = replace(body, nominal=self.retreat.q[0])
         phases = tuple(own for own in (self.retreat, phase, self.approach) if own is not None)

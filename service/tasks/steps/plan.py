@@ -286,7 +286,7 @@ class _Walk:
             wanted = [] if own.move is None else [each for each in own.move.poses if each.link == step.object]
             if wanted:
                 turned = pose[:3, :3] if wanted[0].quaternion_wxyz is None else None
-                pose = pose_matrix(wanted[0].position, wanted[0].quaternion_wxyz or (1.0, 0.0, 0.0, 0.0))
+                pose = pose_matrix(wanted[0].origin, wanted[0].quaternion_wxyz or (1.0, 0.0, 0.0, 0.0))
                 if turned is not None:
                     pose[:3, :3] = turned
                 is_known = True

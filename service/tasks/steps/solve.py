@@ -367,7 +367,7 @@ class _Stage:
 def _stay_at(pose: PoseGoalRequest) -> Guide:
     """Return a way of no length at a pose."""
     turned = make_goal_rotation(pose)
-    return Guide.line(np.asarray(pose.position), np.eye(3) if turned is None else turned, np.zeros(3))
+    return Guide.line(np.asarray(pose.origin), np.eye(3) if turned is None else turned, np.zeros(3))
 
 
 def _keep_chain(target: RelativePoseTarget) -> KeptPose:

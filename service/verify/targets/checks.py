@@ -27,20 +27,19 @@ from service.verify.motion import (
     VerifySettings,
     WayTarget,
 )
-from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
+from service.verify.phase_proof import Extreme, PhaseProof
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.region import RegionTarget
 from service.verify.rounding import round_up
 from service.verify.targets.pose_errors import (
     AXIS_NAMES,
     PositionDemand,
-    angle_of,
-    chord_of,
     limits_rotation,
     list_position_demands,
-    measure_angle,
-    measure_lean,
     offset_from_target,
 )
+from service.verify.targets.region_checks import check_region
+from service.verify.targets.turns import bound_lean, bound_turn
 from service.verify.targets.ways import check_joint_way, check_way
 
 
@@ -54,6 +53,8 @@ def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
             yield from _pose_checks(proof, target)
         elif isinstance(target, RelativePoseTarget):
             yield from _relative_pose_checks(proof, target)
+        elif isinstance(target, RegionTarget):
+            yield from check_region(proof, target)
         elif isinstance(target, WayTarget):
             yield from check_way(proof, target)
         elif isinstance(target, JointWayTarget):
@@ -133,7 +134,7 @@ def _pose_checks(proof: PhaseProof, target: PoseTarget) -> Iterator[Check]:
         yield claim.check(proof, extreme, path.origin_at(extreme.s))
     if target.rotation is not None and limits_rotation(target):
         limit = float(target.rotation_tolerance[0])
-        extreme = _bound_turn(proof, path, target.rotation, None, limit, target.at)
+        extreme = bound_turn(proof, path, target.rotation, None, limit, target.at)
         claim = _make_pose_claim(target, f"{name}.rotation", limit, "rad", during)
         yield claim.check(proof, extreme, path.origin_at(extreme.s))
 
@@ -205,7 +206,7 @@ def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iter
     )
     yield place.check(proof, off, world_path.origin_at(off.s))
     what = target.frame if target.free_axis is None else f"the axis of {target.frame}"
-    turned = _bound_turn(proof, path, target.rotation, target.free_axis, target.rotation_tolerance_rad)
+    turned = bound_turn(proof, path, target.rotation, target.free_axis, target.rotation_tolerance_rad)
     turn = _Claim(
         f"{name}.rotation",
         target.rotation_tolerance_rad,
@@ -219,7 +220,7 @@ def _relative_pose_checks(proof: PhaseProof, target: RelativePoseTarget) -> Iter
 
 def _axis_check(proof: PhaseProof, target: AxisTarget) -> Check:
     path, during = _origin_path(proof, target.frame), proof.phase.name
-    extreme = _bound_lean(proof, path, target.frame_axis, target.axis, target.tolerance_rad, target.at)
+    extreme = bound_lean(proof, path, target.frame_axis, target.axis, target.tolerance_rad, target.at)
     claim = _Claim(
         f"axis.{during}.{target.frame}",
         target.tolerance_rad,
@@ -229,57 +230,6 @@ def _axis_check(proof: PhaseProof, target: AxisTarget) -> Check:
         (target.frame,),
     )
     return claim.check(proof, extreme, path.origin_at(extreme.s))
-
-
-def _bound_turn(
-    proof: PhaseProof,
-    path: FramePath,
-    wanted: Float[np.ndarray, "3 3"],
-    free_axis: Float[np.ndarray, "3"] | None,
-    limit: float,
-    at: float | None = None,
-) -> Extreme:
-    """Bound the angle between a frame and its wanted orientation, or between the directions of its free axis [rad]."""
-    if free_axis is not None:
-        return _bound_lean(proof, path, free_axis, wanted @ free_axis, limit, at)
-    return _bound_angle(proof, path, lambda s: measure_angle(wanted.T @ path.at(s)[1]), limit, at)
-
-
-def _bound_lean(
-    proof: PhaseProof,
-    path: FramePath,
-    frame_axis: Float[np.ndarray, "3"],
-    wanted: Float[np.ndarray, "3"],
-    limit: float,
-    at: float | None,
-) -> Extreme:
-    """Bound the angle between an axis of a frame and a wanted direction [rad]."""
-    return _bound_angle(proof, path, lambda s: measure_lean(path.at(s)[1] @ frame_axis, wanted), limit, at)
-
-
-def _bound_angle(
-    proof: PhaseProof,
-    path: FramePath,
-    angle: Callable[[np.ndarray], np.ndarray],
-    limit: float,
-    at: float | None,
-) -> Extreme:
-    """Bound an angle at one path parameter, or along the phase [rad].
-
-    By its chord, whose bound comes closer with the square of an interval's length; near half a turn, where the chord
-    says little of the angle, by how far the frame can turn on its ways from both ends.
-    """
-    if at is not None:
-        return Extreme.at_one_pose(float(angle(np.array([at]))[0]), at, limit)
-
-    def evaluate(first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        ends = values_at_ends(angle, first, last)
-        largest = np.maximum(*ends)
-        by_chord = angle_of(chord_of(largest) + path.direction_deviation(first, last))
-        by_turning = 0.5 * (ends[0] + ends[1] + path.turning_angle(first, last))
-        return np.maximum(np.minimum(by_chord, by_turning), largest), *ends
-
-    return proof.bound(evaluate, limit, largest=np.pi)
 
 
 def _distance_from_slide(

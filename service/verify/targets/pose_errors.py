@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from service.verify.motion import PoseTarget
 
@@ -65,6 +66,11 @@ def measure_angle(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S"
         axis=1,
     )
     return np.asarray(np.arctan2(np.linalg.norm(axial, axis=1), np.trace(rotation, axis1=1, axis2=2) - 1.0))
+
+
+def measure_rotation_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3"]:
+    """Return the rotation vectors of rotations, at most pi long [rad]."""
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def measure_lean(direction: Float[np.ndarray, "S 3"], wanted: Float[np.ndarray, "3"]) -> Float[np.ndarray, "S"]:

@@ -477,6 +477,27 @@ class Start(_message.Message):
     def __init__(self, posture: _Optional[str] = ..., joints: _Optional[_Mapping[str, float]] = ..., joint_names: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., base: _Optional[_Union[Pose, _Mapping]] = ...) -> None: ...
 
 class Goal(_message.Message):
+    __slots__ = ("joints", "poses", "posture", "any_of", "via")
+    class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
+    POSTURE_FIELD_NUMBER: _ClassVar[int]
+    ANY_OF_FIELD_NUMBER: _ClassVar[int]
+    VIA_FIELD_NUMBER: _ClassVar[int]
+    joints: _containers.ScalarMap[str, float]
+    poses: _containers.RepeatedCompositeFieldContainer[PoseGoal]
+    posture: str
+    any_of: _containers.RepeatedCompositeFieldContainer[GoalPart]
+    via: _containers.RepeatedCompositeFieldContainer[GoalPart]
+    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., posture: _Optional[str] = ..., any_of: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ..., via: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ...) -> None: ...
+
+class GoalPart(_message.Message):
     __slots__ = ("joints", "poses", "posture")
     class JointsEntry(_message.Message):
         __slots__ = ("key", "value")
@@ -494,20 +515,52 @@ class Goal(_message.Message):
     def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., posture: _Optional[str] = ...) -> None: ...
 
 class PoseGoal(_message.Message):
-    __slots__ = ("link", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis")
+    __slots__ = ("link", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis", "relative_to", "region", "look_at", "look_axis")
     LINK_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
     QUATERNION_WXYZ_FIELD_NUMBER: _ClassVar[int]
     POSITION_TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
     FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    RELATIVE_TO_FIELD_NUMBER: _ClassVar[int]
+    REGION_FIELD_NUMBER: _ClassVar[int]
+    LOOK_AT_FIELD_NUMBER: _ClassVar[int]
+    LOOK_AXIS_FIELD_NUMBER: _ClassVar[int]
     link: str
     position: _containers.RepeatedScalarFieldContainer[float]
     quaternion_wxyz: _containers.RepeatedScalarFieldContainer[float]
     position_tolerance_m: float
     rotation_tolerance_deg: float
     free_axis: FreeAxis
-    def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
+    relative_to: str
+    region: Region
+    look_at: _containers.RepeatedScalarFieldContainer[float]
+    look_axis: str
+    def __init__(self, link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ..., relative_to: _Optional[str] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., look_at: _Optional[_Iterable[float]] = ..., look_axis: _Optional[str] = ...) -> None: ...
+
+class Region(_message.Message):
+    __slots__ = ("x_min_m", "x_max_m", "y_min_m", "y_max_m", "z_min_m", "z_max_m", "radius_m", "about_x_deg", "about_y_deg", "about_z_deg")
+    X_MIN_M_FIELD_NUMBER: _ClassVar[int]
+    X_MAX_M_FIELD_NUMBER: _ClassVar[int]
+    Y_MIN_M_FIELD_NUMBER: _ClassVar[int]
+    Y_MAX_M_FIELD_NUMBER: _ClassVar[int]
+    Z_MIN_M_FIELD_NUMBER: _ClassVar[int]
+    Z_MAX_M_FIELD_NUMBER: _ClassVar[int]
+    RADIUS_M_FIELD_NUMBER: _ClassVar[int]
+    ABOUT_X_DEG_FIELD_NUMBER: _ClassVar[int]
+    ABOUT_Y_DEG_FIELD_NUMBER: _ClassVar[int]
+    ABOUT_Z_DEG_FIELD_NUMBER: _ClassVar[int]
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+    z_min_m: float
+    z_max_m: float
+    radius_m: float
+    about_x_deg: float
+    about_y_deg: float
+    about_z_deg: float
+    def __init__(self, x_min_m: _Optional[float] = ..., x_max_m: _Optional[float] = ..., y_min_m: _Optional[float] = ..., y_max_m: _Optional[float] = ..., z_min_m: _Optional[float] = ..., z_max_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., about_x_deg: _Optional[float] = ..., about_y_deg: _Optional[float] = ..., about_z_deg: _Optional[float] = ...) -> None: ...
 
 class Task(_message.Message):
     __slots__ = ("valve", "door", "egress", "trajopt", "contacts", "mechanism", "pick_place", "steps", "use")
@@ -1444,7 +1497,7 @@ class Attached(_message.Message):
     def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., link: _Optional[str] = ..., touches: _Optional[_Iterable[str]] = ..., mass_kg: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ...) -> None: ...
 
 class Keep(_message.Message):
-    __slots__ = ("link", "relative_to", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis")
+    __slots__ = ("link", "relative_to", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis", "region", "look_at", "look_axis", "after", "until")
     LINK_FIELD_NUMBER: _ClassVar[int]
     RELATIVE_TO_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
@@ -1452,6 +1505,11 @@ class Keep(_message.Message):
     POSITION_TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
     FREE_AXIS_FIELD_NUMBER: _ClassVar[int]
+    REGION_FIELD_NUMBER: _ClassVar[int]
+    LOOK_AT_FIELD_NUMBER: _ClassVar[int]
+    LOOK_AXIS_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_FIELD_NUMBER: _ClassVar[int]
     link: str
     relative_to: str
     position: _containers.RepeatedScalarFieldContainer[float]
@@ -1459,7 +1517,12 @@ class Keep(_message.Message):
     position_tolerance_m: float
     rotation_tolerance_deg: float
     free_axis: FreeAxis
-    def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ...) -> None: ...
+    region: Region
+    look_at: _containers.RepeatedScalarFieldContainer[float]
+    look_axis: str
+    after: float
+    until: float
+    def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., look_at: _Optional[_Iterable[float]] = ..., look_axis: _Optional[str] = ..., after: _Optional[float] = ..., until: _Optional[float] = ...) -> None: ...
 
 class Options(_message.Message):
     __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "jerk_scale")
