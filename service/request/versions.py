@@ -68,6 +68,8 @@ ADDED = {
         "Options.clearance_m",
         "Options.hand_friction",
         "Options.jerk_scale",
+        "Options.pace",
+        "Options.tool_speed_m_s",
         "RobotHandRequest.fingers",
         "SceneRequest.objects",
         "SceneRequest.level",
