@@ -69,7 +69,7 @@ def test_each_difference_of_a_driver_is_named(reference: PlannedReference) -> No
 
 
 class PlayedController:
-    """A controller that follows goals exactly, on a clock that every goal moves on; implements ``TrajectoryTransport``."""
+    """A controller that follows goals exactly; implements ``TrajectoryTransport``."""
 
     def __init__(self, names: tuple[str, ...], start: np.ndarray) -> None:
         self.names, self.q, self.qd = list(names)[::-1], start[::-1].copy(), np.zeros(len(start))

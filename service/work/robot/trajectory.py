@@ -2,7 +2,7 @@
 
 Every command is a short goal that replaces the one before: a point one period ahead, and the rest that follows from it
 within ``STOP_S``. A controller that hears nothing more comes to rest by itself. Nothing of ROS is imported here: a
-``TrajectoryTransport`` carries plain data (docs/execution.md has one for rclpy), and tests have one that plays the controller.
+``TrajectoryTransport`` carries plain data, by rclpy on a robot and by a played controller in tests.
 """
 
 from __future__ import annotations
