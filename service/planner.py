@@ -201,9 +201,11 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
 
 def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
     options, resume = request.options, request.resume
-    scales = options.velocity_scale, options.acceleration_scale, options.jerk_scale
-    timing = TimingSettings(*scales) if options.timed else None
-    motion = make_motion(task, timing)
+    timing = TimingSettings(options.speed_share, options.acceleration_share)
+    if options.pace is not None:
+        timing = TimingSettings.at_pace(options.pace)
+    timing = replace(timing, jerk_scale=options.jerk_scale, tool_speed_m_s=options.tool_speed_m_s)
+    motion = make_motion(task, timing if options.timed else None)
     return motion if resume is None else replace(motion, continues=resume.plan)
 
 

@@ -1,6 +1,6 @@
 """Certified plans in physics with random errors.
 
-``python -m benchmarks.physics.perturbed [NAME|FOLDER ...] [--runs N]``.
+``python -m benchmarks.physics.perturbed [NAME|FOLDER ...] [--runs N] [--pace NAME]``.
 
 Names are files of ``examples/requests``; folders hold results.  Each plan is carried out with surfaces up to 1 cm off
 along each axis, masses up to 5 %, friction up to 0.1 and joints up to 10 mrad at the beginning, with sensor noise and
@@ -14,7 +14,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from benchmarks.tables import print_table
@@ -23,7 +23,9 @@ from service.execution.reference import PlannedReference
 from service.execution.tracking import track
 from service.planner import plan
 from service.request.file import load_request
+from service.request.paces import PACES
 from service.result.output import write_result
+from service.result.result import Verdict
 from service.simulation.options import SimulationOptions
 from service.simulation.report import make_report
 from service.simulation.run import FALLEN_M, execute_folder
@@ -93,13 +95,18 @@ def run_tracking(name: str, folder: Path, reference: PlannedReference, options: 
     return Run(name, "tracking", options.seed, stood, ended, cause, worst, time.process_time() - began)
 
 
-def list_folders(names: list[str], scratch: Path) -> Iterator[tuple[str, Path]]:
-    """Yield name and result folder of every plan, planned now where a name is given."""
+def list_folders(names: list[str], scratch: Path, pace: str | None) -> Iterator[tuple[str, Path]]:
+    """Yield name and result folder of every plan, planned now at a pace where a name is given."""
     for name in names:
         if (Path(name) / "result.json").is_file():
             yield Path(name).name, Path(name)
             continue
-        write_result(plan(load_request(REQUESTS / f"{name}.yaml")), scratch / name)
+        request = load_request(REQUESTS / f"{name}.yaml")
+        made = plan(replace(request, options=replace(request.options, pace=pace)))
+        if made.verdict is not Verdict.CERTIFIED:
+            print(f"{name}: {made.verdict.value}", flush=True)
+            continue
+        write_result(made, scratch / name)
         yield name, scratch / name
 
 
@@ -111,12 +118,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the first run")
     parser.add_argument("--size", type=float, default=1.0, help="of the errors and the noise")
     parser.add_argument("--period", type=int, default=1, help="of the pose control [ms]")
+    parser.add_argument("--pace", choices=tuple(PACES), help="of the plans that are made now")
     parser.add_argument("--only", choices=("servos", "tracking"))
     parser.add_argument("--out", type=Path, help="file for all runs as JSON")
     given = parser.parse_args()
     runs: list[Run] = []
     with tempfile.TemporaryDirectory() as scratch:
-        for name, folder in list_folders(given.plans, Path(scratch)):
+        for name, folder in list_folders(given.plans, Path(scratch), given.pace):
             reference = PlannedReference.read(folder)
             for seed in range(given.seed, given.seed + given.runs):
                 options = SimulationOptions(perturb=given.size, noise=given.size, delay_ms=2.0, seed=seed)

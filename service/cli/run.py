@@ -35,6 +35,8 @@ EXIT_CODES = {
     "FELL": 7,
     "TRACKED": 0,
     "ABORTED": 8,
+    "MATCHES": 0,
+    "DIFFERS": 10,
     "HELD_BEFORE": 9,
     "DAMAGED": 74,
 }

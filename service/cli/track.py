@@ -38,6 +38,15 @@ def track_command(
     physics: Annotated[
         bool, typer.Option("--physics", help="In MuJoCo, with guards, pelvis estimator and soft touchdown.")
     ] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry", help="With --robot: compare the robot with the plan's start; nothing is commanded.")
+    ] = False,
+    robot: Annotated[
+        str | None, typer.Option(help="For --dry: the robot, as scopt serve has it.", metavar="NAME,KEY=VALUE,...")
+    ] = None,
+    start_tolerance: Annotated[
+        float, typer.Option(help="For --dry: how far a joint may be from the plan's start [rad, m].")
+    ] = 0.05,
     gains: Annotated[
         str, typer.Option(help="Of the pose control: follow, or table-1 for those of Liu et al. 2015.")
     ] = "follow",
@@ -87,6 +96,8 @@ def track_command(
     stdout, stderr = consoles()
     if trust is not None and (shift or adjust is not None):
         raise typer.BadParameter("--trust goes without --shift and --adjust: the motion that they make is not approved")
+    if dry or robot is not None:
+        return _run_dry(result, robot if dry else None, start_tolerance, as_json=as_json)
     read_approval(result, trust, revocations or [])
     with progress(stderr, "verify plan") as report, cancellable(stderr) as should_stop, stops_when(should_stop):
         report("verify plan", 0.0)
@@ -136,6 +147,42 @@ def track_command(
     else:
         _print_track(stdout, summary)
     return str(summary["verdict"])
+
+
+def _run_dry(result: Path, robot: str | None, tolerance: float, *, as_json: bool) -> str:
+    """Compare a robot with a plan's start and print every difference; nothing is commanded.
+
+    Raises:
+        RequestError, ExecutionError: one sentence: the robot cannot be opened.
+    """
+    if robot is None:
+        raise typer.BadParameter("--dry and --robot belong together; plans are carried out by scopt execute")
+    if not 0.0 < tolerance <= 0.5:
+        raise typer.BadParameter(f"--start-tolerance: expected above 0 and at most 0.5, got {tolerance:g}")
+    from dataclasses import asdict
+
+    from service.errors import ExecutionError
+    from service.execution.replan import read_certified
+    from service.work.robot.dry import compare_robot
+    from service.work.robot.robot import open_robot
+
+    folder = result.parent if result.is_file() else result
+    reference = read_certified(folder)
+    opened = open_robot(robot)
+    try:
+        differences = compare_robot(opened.drive(reference, folder, False, tolerance), reference, tolerance)
+    except OSError as error:
+        raise ExecutionError(f"--robot {robot}: {error}") from None
+    finally:
+        opened.close()
+    verdict = "DIFFERS" if differences else "MATCHES"
+    lines = [f"{one.what}: {one.sentence}" for one in differences]
+    summary = {"verdict": verdict, "explanation": lines or ["the robot says what the plan's start expects"]}
+    if as_json:
+        print_json({**summary, "differences": [asdict(one) for one in differences]})
+    else:
+        print_verdict(consoles()[0], summary)
+    return verdict
 
 
 def _report_work(work: WorkWatch, tracked: str) -> dict[str, Any]:

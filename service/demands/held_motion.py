@@ -117,9 +117,13 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         differences.append("the record waives other checks than the request")
     if recorded.clearance_m != demands.request.options.clearance_m:
         differences.append("the record demands another clearance than the request")
-    jerk_scale = demands.request.options.jerk_scale
-    if recorded.jerk_scale != jerk_scale:
+    options = demands.request.options
+    if recorded.jerk_scale != options.jerk_scale:
         differences.append("the record limits the jerk in another way than the request")
+    if recorded.tool_speed_m_s != options.tool_speed_m_s:
+        differences.append("the record limits the speed of the tools in another way than the request")
+    if recorded.pace != options.pace:
+        differences.append("the record keeps the margins of another pace than the request's")
     releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -136,7 +140,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         mechanism_links=robot.mechanism_links,
         waived=waived,
         clearance_m=demands.request.options.clearance_m,
-        jerk_scale=jerk_scale,
+        jerk_scale=options.jerk_scale,
+        tool_speed_m_s=options.tool_speed_m_s,
+        pace=options.pace,
         releases=releases,
         continues=continues,
         objects=task.objects,
@@ -281,7 +287,7 @@ def compare_phase(recorded: Phase, own: Phase, has_own_targets: bool) -> Iterato
 def compare_pace(request: PlanRequest, certificate: Certificate) -> Iterator[str]:
     """Yield a sentence where a motion uses more of the robot's speed or acceleration limits than the request allows."""
     options = request.options
-    for name, share in (("speed", options.velocity_scale), ("acceleration", options.acceleration_scale)):
+    for name, share in (("speed", options.speed_share), ("acceleration", options.acceleration_share)):
         for check in certificate.checks:
             if check.name == f"limits.{name}" and check.value > share * (1.0 + PACE_TOLERANCE):
                 used, most = 100.0 * check.value, 100.0 * share

@@ -14,10 +14,19 @@ from costs.robot import BASE_NAMES, RobotModel
 from service.errors import ResultError
 from service.execution.ground_forces import carry_motion
 from service.execution.hands.grip_forces import GripForces
-from service.execution.hands.load_limits import LoadLimits, limit_loads
 from service.replay.replay import read_motion
 from service.result.folder import read_result, result_path
-from service.verify import Motion, Phase, PlantedContact, find_mechanism_joints, find_times, list_phases, split_motion
+from service.verify import (
+    LoadLimits,
+    Motion,
+    Phase,
+    PlantedContact,
+    find_mechanism_joints,
+    find_times,
+    limit_loads,
+    list_phases,
+    split_motion,
+)
 
 TABLE_STEP_S = 2e-3  # of desired positions, which are read linearly between
 FORCE_STEP_S = 0.02  # of torques and contact forces

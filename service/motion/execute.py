@@ -16,17 +16,20 @@ from service.body.monitor import Monitor
 from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import BASE_SPEED, WholeBody
 from service.demands.neighbours import make_neighbour_allowances
+from service.motion.slowing import slow_to_speeds
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import Pace, TimingSettings, keep_durations, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
 from service.verify import (
     Basis,
     Certificate,
+    FrameSpeed,
     LoadedRegion,
     Motion,
     Phase,
     SupportPolygon,
     find_times,
+    list_frame_speeds,
     list_waived_checks,
     split_motion,
 )
@@ -67,6 +70,8 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         releases=body.releases,
         clearance_m=body.aims.clearance,
         jerk_scale=None if timing is None else timing.jerk_scale,
+        tool_speed_m_s=None if timing is None else timing.tool_speed_m_s,
+        pace=None if timing is None else timing.pace,
         objects=plan.objects,
     )
     if timing is None:
@@ -74,9 +79,11 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         chord = HELD_CHORD_SHARE * body.drift() if is_held else CHORD_TOLERANCE
         return replace(motion, samples=_sample_path(spline.curve, _limit_chords(plan, spline, chord)))
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
-    timing = replace(timing, support_links=planted, zmp_reserve_m=ZMP_RESERVE)
+    reserve = timing.zmp_reserve_m if timing.pace is not None else ZMP_RESERVE
+    timing = replace(timing, support_links=planted, zmp_reserve_m=reserve)
+    speeds = list_frame_speeds(motion, motion.phases)
     paces = [
-        Pace(first, last, phase.limits, phase.duration_s)
+        Pace(first, last, _list_speeds(phase, speeds, first, last), phase.duration_s)
         for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True)
         if phase.kept is None or phase.kept.law is None
     ]
@@ -88,13 +95,22 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         for phase, border in zip(plan.phases, pairwise(borders), strict=True)
         if phase.kept is not None and phase.kept.is_settled
     ]
-    law = slow_until_zmp_inside(replace(motion, law=law), reserve_m=ZMP_RESERVE, settled=settled)
-    law = keep_durations(law, paces)
+    weak = replace(motion, law=law, robot=replace(body.robot, effort=timing.torque_share * body.robot.effort))
+    law = slow_until_zmp_inside(weak, reserve_m=reserve, settled=settled)
+    law = keep_durations(slow_to_speeds(motion, law, speeds), paces)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
     steps = _chord_steps(spline.curve, _limit_chords(plan, spline, chord))
     return replace(motion, law=law, samples=_sample_law(knots, law, steps))
+
+
+def _list_speeds(
+    phase: PlannedPhase, speeds: Sequence[FrameSpeed], first: float, last: float
+) -> tuple[FrameSpeed, ...]:
+    """Return the largest speeds of frames during a phase: its own, and those that the motion promises."""
+    own = (FrameSpeed(phase.name, frame, first, last, most) for frame, most in phase.limits)
+    return (*own, *(speed for speed in speeds if speed.first < last and speed.last > first))
 
 
 def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:

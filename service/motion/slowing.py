@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,13 +11,14 @@ from jaxtyping import Float
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
-from service.verify import measure_jerks, measure_timed_peaks
+from service.verify import FrameSpeed, Motion, measure_jerks, measure_timed_peaks, trace_frame
 
 REST = 1e-12  # speed along the path that counts as none [1/s]
 # Widths of the filter that are tried, as shares of a stretch's duration.
 WIDTHS = np.geomspace(0.03, 1.0, 8)
 CELL_S = 1e-2  # longest cell of a filtered law [s]
 CELLS = 12  # of the filter's width, at least
+SAMPLES_PER_CELL = 4  # of a law, at which speeds of frames are measured
 ROUNDS = 8  # of slowing a stretch, which lowers its jerk by the third power but for steps of the curve's bend
 SPARE = 1.002  # more than the estimate asks
 JERK_SHARE = 0.95  # of the limits that is used: where the windows of the measure begin changes with the duration
@@ -40,6 +41,27 @@ def slow_to_limits(robot: RobotModel, curve: Curve, law: TimeLaw) -> TimeLaw:
         inside = (peaks.s >= law.path[a]) & (peaks.s < law.path[b])
         factor[a:b] = max(1.0, float(excess[inside].max()))
     return stretch_law(law, factor)
+
+
+def slow_to_speeds(motion: Motion, law: TimeLaw, speeds: Sequence[FrameSpeed]) -> TimeLaw:
+    """Slow each stretch between rests until frames keep their largest speeds at close samples."""
+    for wanted in speeds:
+        inner = np.linspace(law.path[:-1], law.path[1:], SAMPLES_PER_CELL, endpoint=False).T.ravel()
+        s = np.unique(np.append(inner, law.path[-1]))
+        _, places = trace_frame(motion.robot.model, wanted.frame, motion.curve(np.append(s, wanted.last)))
+        rates = np.linalg.norm(np.diff(places[:-1], axis=0), axis=1) / np.diff(s)
+        square = np.interp(s, law.path, law.speed**2)
+        fastest = rates * np.sqrt(np.maximum(square[:-1], square[1:]))
+        away = np.linalg.norm(places[:-1] - places[-1], axis=1)
+        is_bound = (s[:-1] >= wanted.first) & (s[1:] <= wanted.last)
+        is_bound &= np.minimum(away[:-1], away[1:]) <= wanted.near_m
+        excess = np.where(is_bound, SPARE * fastest / wanted.most, 0.0)
+        factor = np.ones(len(law.times) - 1)
+        for a, b in list_stretches(law):
+            inside = (s[:-1] >= law.path[a]) & (s[:-1] < law.path[b])
+            factor[a:b] = max(1.0, float(excess[inside].max(initial=0.0)))
+        law = stretch_law(law, factor)
+    return law
 
 
 def limit_jerk(

@@ -20,8 +20,10 @@ from costs.robot.model import RobotModel
 from costs.stopping import poll
 from service.motion.slowing import limit_jerk, list_stretches, slow_to_limits, stretch_law
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
+from service.request.paces import PACES
 from service.verify import (
     RISE_S,
+    FrameSpeed,
     Joints,
     Motion,
     Phase,
@@ -47,6 +49,9 @@ _TRIED, _LEAST_PART = 12, 1e-3
 # Where contacts change: share of the torque limits beyond which a motion is slowed, and shares to which, the first that
 # the contacts allow.
 _WANTED_SHARE, _SLOWED_SHARES = 0.95, (0.93, 0.98)
+TORQUE_AIM = 0.99  # of a pace's share of the torques, between whose samples others lie
+_SPEED_SHARE = 0.98  # of a frame's largest speed that is used
+_NEAR_SHARE = 1.5  # of the distance within which a speed is limited, as neighbouring grid points may be outside
 _CELLS_BESIDE_REST = 50  # in the knot intervals beside a rest, where a frame has a given speed
 _SAME_POINT = 1e-3  # of the shortest knot interval, within which two grid points are one
 _RATE_STEP = 1e-3  # of the shortest knot interval, for the rate of a frame
@@ -63,13 +68,13 @@ class Pace:
 
     Attributes:
         first, last: path parameters of the rests.
-        limits: frame and largest speed of its origin [m/s].
+        limits: largest speeds of frames.
         duration_s: that the stretch takes, if the fastest law is shorter; None for the fastest.
     """
 
     first: float
     last: float
-    limits: tuple[tuple[str, float], ...] = ()
+    limits: tuple[FrameSpeed, ...] = ()
     duration_s: float | None = None
 
 
@@ -86,6 +91,9 @@ class TimingSettings:
             torques are limited afterwards (:func:`slow_until_zmp_inside`).
         use_torques: whether the other joints' torque limits apply.
         zmp_reserve_m: of the ZMP inside its polygon, at most half of that at rest.
+        torque_share: of the torque limits that is used.
+        tool_speed_m_s: largest speed of the robot's tools; None for no limit.
+        pace: whose margins the motion keeps; None for none.
     """
 
     velocity_scale: float = 1.0
@@ -95,6 +103,21 @@ class TimingSettings:
     support_links: tuple[str, ...] = ()
     use_torques: bool = True
     zmp_reserve_m: float = 0.0
+    torque_share: float = 1.0
+    tool_speed_m_s: float | None = None
+    pace: str | None = None
+
+    @staticmethod
+    def at_pace(name: str) -> TimingSettings:
+        """Return the shares and margins of a pace."""
+        rules = PACES[name]
+        return TimingSettings(
+            rules.velocity_scale,
+            rules.acceleration_scale,
+            zmp_reserve_m=rules.zmp_reserve_m,
+            torque_share=TORQUE_AIM * rules.torque_share,
+            pace=name,
+        )
 
 
 def time_curve(
@@ -272,15 +295,19 @@ def _time_segment(
     torque_rows: Bool[np.ndarray, "n"],
     support: SupportPolygon | None,
     reserve_m: float,
-    limits: Sequence[tuple[str, float]] = (),
+    limits: Sequence[FrameSpeed] = (),
 ) -> Float[np.ndarray, "M"]:
     """Return ds/dt on the grid from rest to rest; without force limits where these leave no law."""
     cells = Cells.of(curve, grid)
     shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
     slope = np.abs(curve(grid, 1)) / robot.velocity
     fastest = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest)
-    for frame, most in limits:
-        fastest = np.minimum(fastest, most / np.maximum(_measure_rates(robot, curve, grid, frame), 1e-12))
+    for wanted in limits:
+        rates = _measure_rates(robot, curve, grid, wanted.frame)
+        if np.isfinite(wanted.near_m):
+            _, places = trace_frame(robot.model, wanted.frame, curve(np.append(grid, wanted.last)))
+            rates[np.linalg.norm(places[:-1] - places[-1], axis=1) > _NEAR_SHARE * wanted.near_m] = 0.0
+        fastest = np.minimum(fastest, _SPEED_SHARE * wanted.most / np.maximum(rates, 1e-12))
     limit = fastest**2
     rows = list(motion_rows(robot, cells))
     for more in (list(force_rows(robot, curve, cells, torque_rows, support, reserve_m)), []):
@@ -305,6 +332,7 @@ def _scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:
         robot,
         velocity=robot.velocity * settings.velocity_scale,
         acceleration=robot.acceleration * settings.acceleration_scale,
+        effort=robot.effort * settings.torque_share,
     )
 
 

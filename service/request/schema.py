@@ -33,6 +33,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.paces import PACES
 from service.request.region import LinkAxis, RegionRequest, check_look
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
@@ -168,6 +169,9 @@ class Options(Section):
         velocity_scale, acceleration_scale: share of the robot's limits that is used.
         jerk_scale: the same of the jerk limits, with which a joint reaches its acceleration limit within 0.1 s; no
             limit by default.
+        tool_speed_m_s: largest speed of the hands' tools, or without hands of the last link of every chain.
+        pace: how fast the motion goes, and what it leaves of torques and of the ZMP's room; by default
+            ``velocity_scale`` and ``acceleration_scale`` alone say it.
         timed: whether the motion gets a time law; otherwise only the path is planned and certified.
         escape: whether to escape from a start in collision first instead of refusing it.
         hand_friction: least and largest coefficient between a hand and what it moves: contacts that stick hold at the
@@ -186,11 +190,21 @@ class Options(Section):
     velocity_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.5
     acceleration_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] = 0.3
     jerk_scale: Annotated[Number, Field(ge=1e-3, le=1.0)] | None = None
+    tool_speed_m_s: Annotated[Number, Field(ge=1e-3, le=10.0)] | None = None
+    pace: Literal["careful", "normal", "fast"] | None = None
     timed: bool = True
     escape: bool = False
     hand_friction: tuple[Friction, Friction] = HAND_FRICTION
 
     def __post_init__(self) -> None:
+        scales = ("velocity_scale", self.velocity_scale, 0.5), ("acceleration_scale", self.acceleration_scale, 0.3)
+        other = [(name, value) for name, value, default in scales if value != default]
+        if self.pace is not None and other:
+            raise PydanticCustomError(
+                "options",
+                "{name} is {value} beside the pace {pace}, which sets it; leave one of them out",
+                {"name": other[0][0], "value": f"{other[0][1]:g}", "pace": self.pace},
+            )
         low, high = self.hand_friction
         if low > high:
             raise PydanticCustomError(
@@ -198,6 +212,16 @@ class Options(Section):
                 "hand_friction is {low} to {high}; expected the least coefficient first",
                 {"low": f"{low:g}", "high": f"{high:g}"},
             )
+
+    @property
+    def speed_share(self) -> float:
+        """Share of the robot's speed limits that is used."""
+        return self.velocity_scale if self.pace is None else PACES[self.pace].velocity_scale
+
+    @property
+    def acceleration_share(self) -> float:
+        """Share of the robot's acceleration limits that is used."""
+        return self.acceleration_scale if self.pace is None else PACES[self.pace].acceleration_scale
 
 
 @dataclass(config=SECTION)

@@ -75,6 +75,8 @@ ADDED = {
         "Options.clearance_m",
         "Options.hand_friction",
         "Options.jerk_scale",
+        "Options.pace",
+        "Options.tool_speed_m_s",
         "PoseGoalRequest.look_at",
         "PoseGoalRequest.look_axis",
         "PoseGoalRequest.region",

@@ -51,6 +51,8 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "waived": sorted(motion.waived or ()),
         "clearance_m": motion.clearance_m,
         "jerk_scale": motion.jerk_scale,
+        "tool_speed_m_s": motion.tool_speed_m_s,
+        "pace": motion.pace,
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
         "continues": motion.continues,
@@ -88,6 +90,8 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         continues=data.get("continues"),
         clearance_m=float(data.get("clearance_m", 0.0)),
         jerk_scale=None if data.get("jerk_scale") is None else float(data["jerk_scale"]),
+        tool_speed_m_s=None if data.get("tool_speed_m_s") is None else float(data["tool_speed_m_s"]),
+        pace=None if data.get("pace") is None else str(data["pace"]),
         objects=tuple(_read_object(item) for item in data.get("objects", ())),
     )
 

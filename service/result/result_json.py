@@ -134,6 +134,8 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         "curve": None,
         "clearance_m": result.request.options.clearance_m,
         "jerk_scale": result.request.options.jerk_scale,
+        "tool_speed_m_s": result.request.options.tool_speed_m_s,
+        "pace": result.request.options.pace,
         **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 

@@ -91,6 +91,10 @@ from service.verify.forces.hand_loads import (
     list_load_cases,
     list_offsets,
 )
+from service.verify.forces.load_limits import (
+    LoadLimits,
+    limit_loads,
+)
 from service.verify.forces.loaded_balance import (
     Ground,
     find_normals,
@@ -103,6 +107,11 @@ from service.verify.forces.rounded import (
 from service.verify.frame_paths import (
     find_mechanism_joints,
     trace_frame,
+)
+from service.verify.frame_speeds import (
+    FrameSpeed,
+    list_frame_speeds,
+    list_tools,
 )
 from service.verify.ground import (
     GROUND_TOLERANCE_M,
@@ -219,6 +228,7 @@ __all__ = [
     "DistanceQuery",
     "Exempt",
     "ForwardKinematics",
+    "FrameSpeed",
     "Grip",
     "Ground",
     "HandContact",
@@ -230,6 +240,7 @@ __all__ = [
     "JointWayTarget",
     "Joints",
     "LoadCase",
+    "LoadLimits",
     "LoadedRegion",
     "Meeting",
     "Motion",
@@ -275,14 +286,17 @@ __all__ = [
     "find_times",
     "is_held",
     "is_shown",
+    "limit_loads",
     "limits_rotation",
     "link_vertices",
+    "list_frame_speeds",
     "list_levers",
     "list_load_cases",
     "list_offsets",
     "list_phases",
     "list_position_demands",
     "list_sample_times",
+    "list_tools",
     "list_waived_checks",
     "make_coal_convex",
     "make_contact_share",

@@ -459,6 +459,8 @@ class Motion:
         continues: hash of the certificate of the plan whose task this motion continues, or None.
         clearance_m: demanded distance of the robot from every piece that it may not touch [m].
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
+        tool_speed_m_s: largest speed of the robot's tools; None for no limit.
+        pace: name of ``service.request.paces``, whose margins the timed motion keeps; None for none.
         objects: what hands carry; ``robot`` is without them (``carrying.placing.split_motion``).
     """
 
@@ -474,4 +476,6 @@ class Motion:
     continues: str | None = None
     clearance_m: float = 0.0
     jerk_scale: float | None = None
+    tool_speed_m_s: float | None = None
+    pace: str | None = None
     objects: tuple[MovableObject, ...] = ()

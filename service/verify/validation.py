@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from costs.curve import Curve, PolynomialCurve, TimeLaw
+from service.request.paces import PACES
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
@@ -59,8 +60,18 @@ def validate_motion(motion: Motion) -> None:
     for before, after in pairwise(motion.phases):
         _validate_kept_contacts(before, after)
     _validate_releases(motion)
+    _validate_speeds(motion)
     if motion.law is not None:
         check_law(motion.curve, motion.law)
+
+
+def _validate_speeds(motion: Motion) -> None:
+    """Reject a limit of the tools' speed that is not positive, and unknown paces."""
+    most = motion.tool_speed_m_s
+    if most is not None and not 0.0 < most < np.inf:
+        raise VerifyError(f"tool_speed_m_s: expected a positive speed, got {most}")
+    if motion.pace is not None and motion.pace not in PACES:
+        raise VerifyError(f"pace: expected {', '.join(PACES)}, got '{motion.pace}'")
 
 
 def _validate_releases(motion: Motion) -> None:

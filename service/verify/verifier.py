@@ -19,6 +19,7 @@ from service.verify.coverage.required import list_own_joints
 from service.verify.forces.dynamics import check_dynamics
 from service.verify.forces.hand_contacts import check_hand_contacts
 from service.verify.forces.letting_go import check_letting_go
+from service.verify.frame_speeds import check_frame_speeds
 from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
 from service.verify.limits import check_positions, check_timing
@@ -33,7 +34,7 @@ MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
 PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
-MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_mechanism)
+MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_frame_speeds, check_mechanism)
 PHASE_CHECKS: tuple[PhaseCheck, ...] = (
     check_stance, check_targets, check_hand_contacts, check_letting_go, check_ground, check_dynamics,
 )  # fmt: skip

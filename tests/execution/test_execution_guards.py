@@ -7,9 +7,8 @@ import pytest
 
 from service.errors import ExecutionError
 from service.execution.guards import Guards, GuardSettings, Severity
-from service.execution.hands.load_limits import LoadLimits
 from service.execution.reference import ReferencePhase
-from service.verify import PlantedContact
+from service.verify import LoadLimits, PlantedContact
 
 PERIOD = 1e-2
 SOLE = np.array([[-0.1, -0.05, 0.0], [0.1, -0.05, 0.0], [0.1, 0.05, 0.0], [-0.1, 0.05, 0.0]])

@@ -7,9 +7,8 @@ import pytest
 from still_door import motion_of
 
 from service.errors import ExecutionError
-from service.execution.hands.load_limits import limit_loads
 from service.execution.hands.relief import HandRelief, ReliefSettings
-from service.verify import HandLoad, HandPush, Phase
+from service.verify import HandLoad, HandPush, Phase, limit_loads
 
 PERIOD = 0.01
 # On a leaf shut in the plane x = 0.8 that turns about z: its way is along x.  The lever below hangs from it.

@@ -204,6 +204,8 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
         clearance_m=setup.request.options.clearance_m,
         jerk_scale=setup.request.options.jerk_scale,
+        tool_speed_m_s=setup.request.options.tool_speed_m_s,
+        pace=setup.request.options.pace,
     )
 
 

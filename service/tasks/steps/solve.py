@@ -175,7 +175,7 @@ class StepSolver:
         if made.profile == "any":
             return phases, None
         options = self.request.options
-        speed, gain = robot.velocity * options.velocity_scale, robot.acceleration * options.acceleration_scale
+        speed, gain = robot.velocity * options.speed_share, robot.acceleration * options.acceleration_share
         least = find_least_duration(made.profile, end - at, speed, gain)
         duration = least if made.duration_s is None else made.duration_s
         if duration < least * (1.0 - 1e-6):

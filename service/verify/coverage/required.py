@@ -12,6 +12,7 @@ from costs.robot.model import BASE_NAMES
 from service.verify.carrying.checks import list_carrier_checks
 from service.verify.certificate import Basis, Check
 from service.verify.forces.hand_contacts import list_moving_joints
+from service.verify.frame_speeds import list_frame_speeds
 from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
 
@@ -44,6 +45,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
     if motion.law is not None:
         names += ["limits.speed", "limits.acceleration", "limits.rest"]
         names += ["limits.jerk"] if motion.jerk_scale is not None else []
+        names += [speed.name for speed in list_frame_speeds(motion, phases)]
     elif _is_waived(motion, TIMING):
         waived.append("speeds, accelerations and forces (the motion is untimed)")
     else:

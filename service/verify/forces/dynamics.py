@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from costs.curve import TimeLaw
 from costs.stopping import poll
 from costs.work_space import borrow_data
+from service.request.paces import PACES
 from service.verify.carrying.sharing import share_weight
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.contact_forces import ContactShare, Joints, list_unit_wrenches
@@ -255,25 +256,29 @@ def check_dynamics(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
         return
     times = list_sample_times(motion, law, phase.first, phase.last, settings.time_step_s)
     dynamics = compute_forces(motion, law, phase, times)
+    pace = None if motion.pace is None else PACES[motion.pace]
     if phase.support is not None:
         zmp, outside = dynamics.find_worst_zmp(phase.support)
         worst = int(outside.argmax())
-        value = -float(outside[worst])
+        value, least = -float(outside[worst]), 0.0 if pace is None else pace.zmp_inside_m
         point = (float(zmp[worst, 0]), float(zmp[worst, 1]), phase.support.height)
         where = Where(float(dynamics.path[worst]), float(times[worst]), point)
         verb = "stays" if value >= 0.0 else "is"
         text = f"the ZMP {verb} {describe_inside(value)} the feet during {phase.name} ({len(times)} samples)"
-        yield Check(f"zmp.{phase.name}", value >= 0.0, value, 0.0, "m", text, where, Basis.SAMPLES)
+        text += f"; the pace {motion.pace} asks for {1e3 * least:.0f} mm" if value < least else ""
+        yield Check(f"zmp.{phase.name}", value >= least, value, least, "m", text, where, Basis.SAMPLES)
     if phase.region_margin_m is not None:
         yield _forces_check(phase, dynamics)
     limited = find_limited_joints(motion)
     if len(limited):
         ratio = dynamics.find_largest_torque()[:, limited] / motion.robot.effort[limited]
         row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
-        value, name = float(ratio[row, column]), motion.robot.joint_names[limited[column]]
+        value, most = float(ratio[row, column]), 1.0 if pace is None else pace.torque_share
+        name = motion.robot.joint_names[limited[column]]
         where = Where(float(dynamics.path[row]), float(times[row]), None, (name,))
         text = f"{name} needs {100.0 * value:.0f} % of its torque during {phase.name} ({len(times)} samples)"
-        yield Check(f"torque.{phase.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
+        text += f"; the pace {motion.pace} allows {100.0 * most:.0f} %" if value > most < 1.0 else ""
+        yield Check(f"torque.{phase.name}", value <= most, value, most, "1", text, where, Basis.SAMPLES)
 
 
 def _forces_check(phase: Phase, dynamics: Forces) -> Check:

@@ -19,6 +19,7 @@ GROUP = "scopt_robots"  # of entry points
 BUNDLED = {
     "sim": "service.work.robot.simulated:open_simulated",
     "udp": "service.work.robot.udp:open_udp",
+    "trajectory": "service.work.robot.trajectory:open_trajectory",
 }
 
 
@@ -58,8 +59,8 @@ OpenRobot = Callable[[Mapping[str, str]], Robot]
 def open_robot(text: str) -> Robot:
     """Open a robot by ``NAME`` or ``NAME,key=value,...``.
 
-    A name is ``sim``, ``udp``, or an entry point of the group ``scopt_robots``: a function of the options that returns
-    a ``Robot``.
+    A name is ``sim``, ``udp``, ``trajectory``, or an entry point of the group ``scopt_robots``: a function of the
+    options that returns a ``Robot``.
 
     Raises:
         RequestError: there is no such robot, or an option cannot be used.

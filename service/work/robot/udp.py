@@ -4,7 +4,8 @@ Every datagram is a JSON object. The driver first sends ``{"hello": 1}`` until t
 ``period_s`` and its reading. Then it sends a command per cycle, ``{"n", "q", "qd", "tau"}``, and the robot answers each
 with a reading, ``{"n", "time_s", "q", "qd", "torque"}``, which may have ``imu_rotation`` (9 numbers, row by row),
 ``imu_angular_velocity``, ``imu_acceleration`` and ``foot_wrenches`` (six numbers by link). Units are those of
-``RobotReading``. What is late or unreadable is left out; the guards of the execution see how old the last reading is.
+``RobotReading``. Before the first command the driver says hello again for every reading. What is late or unreadable is
+left out; the guards of the execution see how old the last reading is.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import socket
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from service.errors import ExecutionError, RequestError, shown
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.reference import PlannedReference
 
+HELLO = b'{"hello": 1}'
 HELLO_S = 5.0  # in which the robot has to answer
 AGAIN_S = 0.2  # between two hellos
 SILENT_S = 0.1  # without a reading, after which the driver says so
@@ -62,6 +65,9 @@ class UdpDriver:
         Raises:
             ConnectionError: none has come for so long that the robot cannot be said to answer.
         """
+        if self._n == 0:  # nothing is commanded yet, so that only a greeting is answered
+            with suppress(OSError):
+                self._socket.send(HELLO)
         while True:
             try:
                 data = self._socket.recv(MAX_BYTES)
@@ -98,7 +104,7 @@ class UdpDriver:
         end = time.monotonic() + HELLO_S
         while time.monotonic() < end:
             try:
-                self._socket.send(b'{"hello": 1}')
+                self._socket.send(HELLO)
                 answer = json.loads(self._socket.recv(MAX_BYTES))
             except (TimeoutError, ConnectionRefusedError):
                 time.sleep(0.01)

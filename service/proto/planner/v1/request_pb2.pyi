@@ -203,6 +203,13 @@ class QpSolver(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     QP_SOLVER_PIQP: _ClassVar[QpSolver]
     QP_SOLVER_CLARABEL: _ClassVar[QpSolver]
     QP_SOLVER_CVXPY: _ClassVar[QpSolver]
+
+class Pace(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PACE_UNSPECIFIED: _ClassVar[Pace]
+    PACE_CAREFUL: _ClassVar[Pace]
+    PACE_NORMAL: _ClassVar[Pace]
+    PACE_FAST: _ClassVar[Pace]
 PATCH_KIND_UNSPECIFIED: PatchKind
 PATCH_KIND_FOOT: PatchKind
 PATCH_KIND_TRUNK: PatchKind
@@ -318,6 +325,10 @@ QP_SOLVER_UNSPECIFIED: QpSolver
 QP_SOLVER_PIQP: QpSolver
 QP_SOLVER_CLARABEL: QpSolver
 QP_SOLVER_CVXPY: QpSolver
+PACE_UNSPECIFIED: Pace
+PACE_CAREFUL: Pace
+PACE_NORMAL: Pace
+PACE_FAST: Pace
 
 class MotionRequest(_message.Message):
     __slots__ = ("robot", "start", "scene", "goal", "task", "keep", "attached", "options", "resume")
@@ -1525,7 +1536,7 @@ class Keep(_message.Message):
     def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., look_at: _Optional[_Iterable[float]] = ..., look_axis: _Optional[str] = ..., after: _Optional[float] = ..., until: _Optional[float] = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "jerk_scale")
+    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "jerk_scale", "tool_speed_m_s", "pace")
     WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     TIME_LIMIT_S_FIELD_NUMBER: _ClassVar[int]
     MARGIN_M_FIELD_NUMBER: _ClassVar[int]
@@ -1541,6 +1552,8 @@ class Options(_message.Message):
     HAND_FRICTION_FIELD_NUMBER: _ClassVar[int]
     CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
     JERK_SCALE_FIELD_NUMBER: _ClassVar[int]
+    TOOL_SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
+    PACE_FIELD_NUMBER: _ClassVar[int]
     waypoints: int
     time_limit_s: float
     margin_m: float
@@ -1556,7 +1569,9 @@ class Options(_message.Message):
     hand_friction: _containers.RepeatedScalarFieldContainer[float]
     clearance_m: float
     jerk_scale: float
-    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ..., jerk_scale: _Optional[float] = ...) -> None: ...
+    tool_speed_m_s: float
+    pace: Pace
+    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ..., jerk_scale: _Optional[float] = ..., tool_speed_m_s: _Optional[float] = ..., pace: _Optional[_Union[Pace, str]] = ...) -> None: ...
 
 class Resume(_message.Message):
     __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal", "is_compliant")

@@ -10,19 +10,16 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from service.verify import (
-    HandLoad,
-    Joints,
-    LoadCase,
-    Motion,
-    Phase,
+from service.verify.forces.contact_forces import Joints
+from service.verify.forces.dynamics import (
     compute_inverse_dynamics,
     find_limited_joints,
     list_levers,
-    list_load_cases,
     make_contact_share,
     map_axes,
 )
+from service.verify.forces.hand_loads import LoadCase, list_load_cases
+from service.verify.motion import HandLoad, Motion, Phase
 
 MOST_LOAD = 10.0  # largest cap of a hand's loads, in units of the expected ones
 N_SAMPLES = 5  # of a phase, at which the cap is found
