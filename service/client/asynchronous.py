@@ -411,7 +411,12 @@ class AsyncPlannerClient:
         return await self.review(seen, accept=False, comment=comment)
 
     async def pose_session(
-        self, request: PlanRequest | MotionRequest, events: PoseEvents, *, deadline_s: float | None = None
+        self,
+        request: PlanRequest | MotionRequest,
+        events: PoseEvents,
+        *,
+        with_drawing: bool = False,
+        deadline_s: float | None = None,
     ) -> AsyncGenerator[PoseSessionResponse, None]:
         """Yield ``opened``, then a pose for every event of an operator; closing the iterator ends the session.
 
@@ -419,11 +424,12 @@ class AsyncPlannerClient:
             request: robot, surroundings and first pose; local files that a ``PlanRequest`` names are uploaded first.
             events: with growing numbers, each as the operator makes it; asynchronous for this client, an iterator that
                 may wait for the blocking one. Its end ends the session.
+            with_drawing: whether ``opened`` has the robot's shapes.
             deadline_s: time limit [s] of the whole session; None for no limit.
         """
         if isinstance(request, PlanRequest):
             request = await self.with_uploads(request)
-        messages = make_pose_messages(request, events)
+        messages = make_pose_messages(request, events, with_drawing)
         attempts = Attempts(self._retry, deadline_s, is_repeatable=False)
         try:
             async with aclosing(self._transport.stream("PoseSession", messages, attempts.start())) as answers:

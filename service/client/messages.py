@@ -66,11 +66,11 @@ PoseEvents = Iterable[PoseEvent] | AsyncIterable[PoseEvent]
 
 
 def make_pose_messages(
-    request: PlanRequest | MotionRequest, events: PoseEvents
+    request: PlanRequest | MotionRequest, events: PoseEvents, with_drawing: bool
 ) -> Iterator[PoseSessionRequest] | AsyncIterator[PoseSessionRequest]:
     """Return the messages of a pose session: it is opened, then every event is sent as it comes."""
     message = request if isinstance(request, MotionRequest) else request_to_message(request)
-    first = PoseSessionRequest(open=OpenPoseSession(request=message))
+    first = PoseSessionRequest(open=OpenPoseSession(request=message, with_drawing=with_drawing))
     return _follow_later(first, events) if isinstance(events, AsyncIterable) else _follow(first, events)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from service.errors import RequestError
 from service.posing.drag import Drag, DragTarget, LedPose, StopKind
+from service.posing.drawing import RobotDrawing
 from service.proto.planner.v1 import pose_pb2 as wire
 
 _KINDS = {
@@ -75,4 +76,20 @@ def pose_to_message(pose: LedPose, number: int, revision: int, undo_steps: int, 
         torque_share=pose.torque_share,
         undo_steps=undo_steps,
         redo_steps=redo_steps,
+    )
+
+
+def drawing_to_message(drawing: RobotDrawing) -> wire.RobotDrawing:
+    """Return the message of a robot as it is drawn."""
+    return wire.RobotDrawing(
+        joints=[
+            wire.DrawnJoint(parent=joint.parent, rest=joint.rest, motion=joint.motion, position=joint.position)
+            for joint in drawing.joints
+        ],
+        bodies=[
+            wire.DrawnBody(name=body.name, link=body.link, joint=body.joint, vertices=body.vertices.ravel())
+            for body in drawing.bodies
+        ],
+        frames=[wire.DrawnFrame(name=frame.name, joint=frame.joint, pose=frame.pose) for frame in drawing.frames],
+        tools=drawing.tools,
     )

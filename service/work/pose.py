@@ -16,6 +16,7 @@ from service.store import find_damaged_uploads
 from service.work.plan import ROBOTS, Refused, perceive_cached, stops_with
 
 if TYPE_CHECKING:
+    from service.posing.drawing import RobotDrawing
     from service.posing.ground import PoseGround
     from service.posing.world import PoseWorld
 
@@ -31,12 +32,14 @@ class OpenedPoses:
         joint_names: of the positions of a pose.
         handles: links that are usually led.
         pose: the first one.
+        drawing: of the robot.
     """
 
     ground: PoseGround
     joint_names: tuple[str, ...]
     handles: tuple[str, ...]
     pose: LedPose
+    drawing: RobotDrawing
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ _WORLDS = _Worlds()
 
 def open_poses(request: PlanRequest, files: tuple[str, ...], control: Control) -> OpenedPoses | Refused:
     """Prepare the world of a session; ``files`` are those of its scene."""
+    from service.posing.drawing import draw_robot
     from service.posing.ground import PoseGround
     from service.posing.reading import list_joint_names
 
@@ -99,7 +103,8 @@ def open_poses(request: PlanRequest, files: tuple[str, ...], control: Control) -
         pose = world.check(ground.start)
     except RequestError as error:
         return Refused(error.problems)
-    return OpenedPoses(ground, list_joint_names(world.robot), world.handles, pose)
+    drawing = draw_robot(world.robot, world.handles)
+    return OpenedPoses(ground, list_joint_names(world.robot), world.handles, pose, drawing)
 
 
 def lead_pose(task: LeadTask) -> LedPose | Refused:

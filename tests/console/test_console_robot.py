@@ -10,7 +10,7 @@ from browser import Browser, open_browser
 from console_page import click, console_of, wait
 from planner_server import planner_server
 
-from service.cli.console.robot import describe_state, find_surprises
+from service.cli.console.robot import describe_measured, describe_state, find_surprises
 from service.client import PlannerClient
 from service.client.answers import FinishedPlan
 from service.proto.planner.v1 import execution_pb2 as wire
@@ -51,9 +51,10 @@ def test_what_others_ordered_is_a_surprise_and_own_orders_are_not(after: wire.Wa
 def test_the_joint_that_is_farthest_from_the_plan_is_named() -> None:
     shown = describe_state(make_state())
     assert (shown["mode"], shown["control"]) == ("running", "ann (console 12)")
-    assert (shown["farthest"]["joint"], shown["farthest"]["off"]) == ("two", pytest.approx(0.3))
+    farthest = describe_measured(make_state())["farthest"]
+    assert (farthest["joint"], farthest["off"]) == ("two", pytest.approx(0.3))
     idle = wire.ExecutionStatus(mode=wire.EXECUTION_MODE_IDLE)
-    assert describe_state(wire.WatchResponse(status=idle))["farthest"] is None
+    assert describe_measured(wire.WatchResponse(status=idle))["farthest"] is None
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel, load_robot
 from service import RequestError, parse_request, plan
-from service.request.tasks.nudges import KEYS, NUDGE_M, NUDGE_RAD, NudgeSettings, make_nudge
+from service.request.tasks.nudges import KEYS, NUDGE_M, NUDGE_RAD, TRANSLATIONS, NudgeSettings, Touch, make_nudge
+from service.request.tasks.steps import StepsSection
 from service.result.result import Verdict
 
 START = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}}
@@ -44,6 +45,17 @@ def test_every_key_is_a_step_of_a_request(key: str, hand: Any) -> None:
     settings = NudgeSettings(hand=hand, middle=EVERYTHING.middle, neck=EVERYTHING.neck)
     request = parse_request({**START, "task": {"steps": [make_nudge(key, settings)]}})
     assert request.task is not None
+
+
+@pytest.mark.parametrize("key", TRANSLATIONS)
+def test_a_nudge_that_may_touch_is_a_guarded_move_with_its_pieces_and_force(key: str) -> None:
+    step = make_nudge(key, NudgeSettings(hand="left", touch=Touch(("wall",), 25.0)))
+    section = parse_request({**START, "task": {"steps": [step]}}).section
+    assert isinstance(section, StepsSection)
+    (touch,) = (own.touch for own in section.steps)
+    assert touch is not None
+    assert (touch.pieces, touch.force_n, touch.window_m) == (("wall",), 25.0, (0.0, NUDGE_M))
+    assert touch.direction == TRANSLATIONS[key]
 
 
 def test_an_arrow_moves_one_hand_up_and_the_other_keeps_its_pose(atlas: RobotModel) -> None:
@@ -80,6 +92,8 @@ def test_both_hands_turn_about_the_point_between_them(atlas: RobotModel) -> None
         ("x", NudgeSettings(), "key: there is no 'x'; expected"),
         ("w", NudgeSettings(hand="both"), "turns both hands about the point between them"),
         ("q", NudgeSettings(), "turns the neck; expected its joint"),
+        ("w", NudgeSettings(touch=Touch((), 20.0)), "key w: touches nothing; expected Up, Down"),
+        ("Up", NudgeSettings(hand="both", touch=Touch((), 20.0)), "one hand touches at a time"),
     ],
 )
 def test_a_key_that_cannot_be_carried_out_is_refused(key: str, settings: NudgeSettings, sentence: str) -> None:

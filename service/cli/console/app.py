@@ -16,7 +16,7 @@ from starlette.websockets import WebSocket
 
 from service.cli.console.bridge import serve_page
 from service.cli.console.guard import Guard
-from service.cli.console.orders import Console
+from service.cli.console.order import Console
 from service.cli.console.sessions import COOKIE, OperatorSession
 from service.cli.console.settings import PROGRAM, ConsoleSettings, page_version
 from service.client import PlannerError

@@ -10,7 +10,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from service.cli.console.orders import ORDERS, Console
+from service.cli.console.order import Console
+from service.cli.console.orders import ORDERS
 from service.cli.console.sessions import COOKIE, OperatorSession
 from service.cli.console.settings import page_version
 from service.client import PlannerError

@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
 from service.cli.console.inbox import execute_plan, list_inbox, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
+from service.cli.console.order import Console, Nothing, PageOrder
+from service.cli.console.pose_orders import POSE_ORDERS
 from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
-from service.cli.console.sessions import OperatorSession, Sessions
-from service.cli.console.settings import ConsoleSettings
+from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.request.fields import SECTION, Name, PlainData, Point, Section
-from service.request.file import parse_section
 
-T = TypeVar("T")
 Comment = Annotated[str, Field(max_length=10_000)]
 Hash = Annotated[str, Field(max_length=100)]
-
-
-class Console:
-    """What all pages of a console share."""
-
-    def __init__(self, settings: ConsoleSettings) -> None:
-        self.settings = settings
-        self.sessions = Sessions(settings)
-
-
-@checked(config=SECTION)
-class Nothing(Section):
-    """Arguments of orders that have none."""
 
 
 @checked(config=SECTION)
@@ -150,23 +135,6 @@ class AcknowledgeOrder(Section):
     seen: Annotated[int, Field(ge=1)]
 
 
-@dataclass(frozen=True)
-class PageOrder(Generic[T]):
-    """An order with its arguments and what carries it out; the result is JSON-ready."""
-
-    arguments: type[T]
-    act: Callable[[Console, OperatorSession, T], Awaitable[Any]]
-
-    async def carry_out(self, console: Console, session: OperatorSession, arguments: Mapping[str, Any]) -> Any:
-        """Check the arguments and carry the order out.
-
-        Raises:
-            RequestError: an argument is missing, unknown or wrong.
-            PlannerError: the server refuses, or does not answer.
-        """
-        return await self.act(console, session, parse_section(self.arguments, arguments))
-
-
 async def _inbox(console: Console, session: OperatorSession, order: Nothing) -> Any:
     return await list_inbox(session.client)
 
@@ -194,8 +162,8 @@ async def _scan(console: Console, session: OperatorSession, order: ScanOrder) ->
 
 
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
-    clouds = await upload_scan(session, console.settings.scans, order.scan, order.robot, order.posture)
-    return await detect_at(session, clouds, order.at, order.kinds)
+    clouds = await upload_scan(session.client, console.settings.scans, order.scan, order.robot, order.posture)
+    return await detect_at(session.client, session.hits, clouds, order.at, order.kinds)
 
 
 async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
@@ -238,4 +206,5 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "execute": PageOrder(ExecuteOrder, _execute),
     "command": PageOrder(RobotOrder, _command),
     "acknowledge": PageOrder(AcknowledgeOrder, _acknowledge),
+    **POSE_ORDERS,
 }

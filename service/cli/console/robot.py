@@ -10,6 +10,7 @@ from typing import Any
 
 from grpc import StatusCode
 
+from service.cli.console.posing import DRAWN_DIGITS
 from service.client import AsyncPlannerClient, PlannerError
 from service.errors import ExecutionError
 from service.proto.planner.v1.execution_pb2 import ControlHolder, ExecutionMode, WatchResponse
@@ -17,6 +18,15 @@ from service.proto.planner.v1.execution_pb2 import ControlHolder, ExecutionMode,
 AGAIN_S = 1.0  # before a server that did not answer is watched again
 ATTEND_S = 10.0  # until the server has seen that its operator watches
 RATE_HZ = 10.0
+UNDER_WAY = (
+    ExecutionMode.EXECUTION_MODE_LOADING,
+    ExecutionMode.EXECUTION_MODE_READY,
+    ExecutionMode.EXECUTION_MODE_RUNNING,
+    ExecutionMode.EXECUTION_MODE_PAUSED,
+    ExecutionMode.EXECUTION_MODE_WAITING,
+    ExecutionMode.EXECUTION_MODE_RETURNING,
+    ExecutionMode.EXECUTION_MODE_HOLDING,
+)
 # No robot, none for a caller of this role, or a server from before there were any.
 NO_ROBOT = (StatusCode.FAILED_PRECONDITION, StatusCode.PERMISSION_DENIED, StatusCode.UNIMPLEMENTED)
 
@@ -29,7 +39,8 @@ class RobotSeat:
 
     Args:
         client: of the operator.
-        tell: called with the event ``robot`` after every change, complete each time.
+        tell: called with the event ``robot`` after every change, complete each time, and with the event ``measured``
+            where nothing but the robot's pose changed.
     """
 
     def __init__(self, client: AsyncPlannerClient, tell: Callable[[Mapping[str, Any]], None]) -> None:
@@ -68,7 +79,30 @@ class RobotSeat:
         told = {"event": "robot", "problem": self._problem, "surprises": list(self._surprises)}
         if self._state is None:
             return {**told, "is_there": False}
-        return {**told, "is_there": True, "has_control": bool(self._lease), **describe_state(self._state)}
+        known = {**describe_state(self._state), **describe_measured(self._state)}
+        return {**told, "is_there": True, "has_control": bool(self._lease), **known}
+
+    def write_planned(self) -> dict[str, Any]:
+        """Return the pose that the robot is to have, as the start of a request.
+
+        Raises:
+            ExecutionError: it is not known, or the robot is under way.
+        """
+        state = self._state
+        if state is None or not state.pose.planned:
+            raise ExecutionError("the robot's pose is not known until it has carried out a plan; execute one first")
+        if state.status.mode in UNDER_WAY:
+            mode = describe_state(state)["mode"]
+            raise ExecutionError(f"the robot is {mode}; a move begins where it rests: wait, or stop it")
+        pose = state.pose
+        start: dict[str, Any] = {
+            "joint_names": list(state.plan.joint_names),
+            "positions": [float(value) for value in pose.planned],
+        }
+        if pose.planned_base:
+            x, y, z, *quaternion = (float(value) for value in pose.planned_base)
+            start["base"] = {"position": [x, y, z], "quaternion_wxyz": quaternion}
+        return start
 
     async def take(self, takes_over: bool) -> int:
         """Take control, and return the revision once the server sees that its operator watches.
@@ -166,8 +200,11 @@ class RobotSeat:
             elif self._state is not None:
                 surprises = find_surprises(self._state, state)
                 self._surprises += [text for text in surprises if not (self._has_stopped and text.startswith("stop "))]
-        self._state = state
-        self._tell(self.describe())
+        before, self._state = self._state, state
+        if before is not None and not self._surprises and is_moved_only(before, state):
+            self._tell({"event": "measured", **describe_measured(state)})
+        else:
+            self._tell(self.describe())
 
     def _lose(self, text: str) -> None:
         self._lease = ""
@@ -192,13 +229,8 @@ def name_holder(control: ControlHolder) -> str:
 
 
 def describe_state(state: WatchResponse) -> dict[str, Any]:
-    """Return a state as pages show it, JSON-ready; ``farthest`` is the joint that is farthest from the plan."""
-    status, plan, pose = state.status, state.plan, state.pose
-    off = {
-        name: abs(measured - planned)
-        for name, measured, planned in zip(plan.joint_names, pose.measured, pose.planned, strict=False)
-    }
-    farthest = max(off, key=lambda name: off[name], default="")
+    """Return a state without the robot's pose as pages show it, JSON-ready."""
+    status, plan = state.status, state.plan
     return {
         "revision": state.revision,
         "mode": ExecutionMode.Name(status.mode).removeprefix("EXECUTION_MODE_").lower(),
@@ -210,7 +242,33 @@ def describe_state(state: WatchResponse) -> dict[str, Any]:
         "plan_id": plan.plan_id,
         "trajectory_sha256": plan.trajectory_sha256,
         "duration_s": plan.duration_s,
-        "clock_s": pose.clock_s,
+        "joint_names": list(plan.joint_names),
+        "phases": list(plan.phases),
         "control": name_holder(state.control),
-        "farthest": {"joint": farthest, "off": off[farthest]} if farthest else None,
     }
+
+
+def describe_measured(state: WatchResponse) -> dict[str, Any]:
+    """Return the measured pose as pages draw it, JSON-ready; ``farthest`` is the joint farthest from the plan."""
+    plan, pose = state.plan, state.pose
+    off = {
+        name: abs(measured - planned)
+        for name, measured, planned in zip(plan.joint_names, pose.measured, pose.planned, strict=False)
+    }
+    farthest = max(off, key=lambda name: off[name], default="")
+    return {
+        "clock_s": round(pose.clock_s, 3),
+        "farthest": {"joint": farthest, "off": round(off[farthest], DRAWN_DIGITS)} if farthest else None,
+        "base": [round(value, DRAWN_DIGITS) for value in pose.measured_base],
+        "positions": [round(value, DRAWN_DIGITS) for value in pose.measured],
+    }
+
+
+def is_moved_only(before: WatchResponse, after: WatchResponse) -> bool:
+    """Return whether nothing but the robot's pose changed between two states."""
+    return (
+        before.revision == after.revision
+        and before.status == after.status
+        and before.plan == after.plan
+        and before.control == after.control
+    )

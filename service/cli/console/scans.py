@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from service.cli.console.sessions import OperatorSession
+from service.client import AsyncPlannerClient
 from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
 from service.proto.planner.v1.request_pb2 import CloudFile, Start
@@ -59,12 +59,16 @@ async def show_scan(folders: Sequence[Path], name: str, robot: str, posture: str
 
 
 async def detect_at(
-    session: OperatorSession,
+    client: AsyncPlannerClient,
+    known: dict[int, dict[str, Any]],
     clouds: CloudsSpec,
     at: tuple[float, float, float],
     kinds: Sequence[str],
 ) -> dict[str, Any]:
     """Return the fits of objects of some kinds at a point that the operator clicked, best first.
+
+    Args:
+        known: objects that were found, by number; the new ones are added.
 
     Raises:
         PlannerError: the server refuses, or does not answer.
@@ -72,7 +76,7 @@ async def detect_at(
     hits: list[dict[str, Any]] = []
     notes: list[str] = []
     for kind in kinds:
-        reply = await session.client.detect(clouds, kind, hint=at)
+        reply = await client.detect(clouds, kind, hint=at)
         notes += [note for note in reply.notes if note not in notes]
         for found in reply.hits:
             hits.append({
@@ -87,15 +91,15 @@ async def detect_at(
             })  # fmt: skip
     hits.sort(key=lambda hit: -hit["confidence"])
     for hit in hits:
-        hit["hit"] = max(session.hits, default=0) + 1
-        session.hits[hit["hit"]] = hit
-    for old in sorted(session.hits)[:-MOST_HITS]:
-        del session.hits[old]
+        hit["hit"] = max(known, default=0) + 1
+        known[hit["hit"]] = hit
+    for old in sorted(known)[:-MOST_HITS]:
+        del known[old]
     return {"hits": hits, "notes": notes}
 
 
 async def upload_scan(
-    session: OperatorSession, folders: Sequence[Path], name: str, robot: str, posture: str | None
+    client: AsyncPlannerClient, folders: Sequence[Path], name: str, robot: str, posture: str | None
 ) -> CloudsSpec:
     """Upload a scan, and return it as a cloud with the robot that stood in it, whose own points are left out.
 
@@ -103,7 +107,7 @@ async def upload_scan(
         RequestError: there is no such scan.
         PlannerError: the server refuses it, or does not answer.
     """
-    cloud_id = await session.client.upload_cloud(find_scan(folders, name))
+    cloud_id = await client.upload_cloud(find_scan(folders, name))
     start = None if posture is None else Start(posture=posture)
     return CloudsSpec(clouds=[CloudFile(file=cloud_id)], robot=robot, start=start)
 

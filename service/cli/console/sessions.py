@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from service.cli.console.posing import PoseSeat
 from service.cli.console.robot import RobotSeat
 from service.cli.console.settings import ConsoleSettings
 from service.client import AsyncPlannerClient, Retry
@@ -47,6 +48,8 @@ class OperatorSession:
         hits: objects that were found, by number.
         jobs: plans that were asked for, by number, as the page draws them.
         robot: what the operator sees and has of the server's robot.
+        pose: the pose that the operator leads.
+        is_moving: whether a nudge or another direct move is under way.
     """
 
     key: str
@@ -59,9 +62,12 @@ class OperatorSession:
     listeners: set[asyncio.Queue[dict[str, Any]]] = field(default_factory=set)
     last_used: float = field(default_factory=time.monotonic)
     robot: RobotSeat = field(init=False)
+    pose: PoseSeat = field(init=False)
+    is_moving: bool = False
 
     def __post_init__(self) -> None:
         self.robot = RobotSeat(self.client, self.tell)
+        self.pose = PoseSeat(self.client, self.tell)
 
     def add_page(self, queue: asyncio.Queue[dict[str, Any]]) -> None:
         """Send events to another page, the present state first."""
@@ -74,6 +80,7 @@ class OperatorSession:
         """Forget a page that has gone; without any page the server sees that its operator has gone."""
         self.listeners.discard(queue)
         if not self.listeners:
+            await self.pose.close()
             await self.robot.leave()
 
     def keep_opened(self, plan_id: str, opened: OpenedPlan) -> None:
@@ -94,6 +101,7 @@ class OperatorSession:
         for task in self.tasks.values():
             task.cancel()
         await asyncio.gather(*self.tasks.values(), return_exceptions=True)
+        await self.pose.close()
         await self.robot.close()
         await self.client.close()
 

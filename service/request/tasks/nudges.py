@@ -45,6 +45,19 @@ KEYS = (*TRANSLATIONS, *ROTATIONS, *(key.upper() for key in ROTATIONS), *NECK)
 
 
 @dataclass(frozen=True)
+class Touch:
+    """What a hand may touch while it is nudged.
+
+    Attributes:
+        pieces: of the scene.
+        force_n: at which the motion stops [N].
+    """
+
+    pieces: tuple[str, ...]
+    force_n: float
+
+
+@dataclass(frozen=True)
 class NudgeSettings:
     """What a key moves, and what the rest does meanwhile.
 
@@ -55,6 +68,7 @@ class NudgeSettings:
         middle: point between both hands, about which both turn [m]; needed to turn both.
         neck: joint of the neck and its position [rad]; needed for the keys of the neck.
         duration_s: of the nudge; the shortest within the robot's limits by default.
+        touch: what the hand may touch; None for nothing.
     """
 
     hand: HandChoice = "right"
@@ -63,6 +77,7 @@ class NudgeSettings:
     middle: Point | None = None
     neck: tuple[str, float] | None = None
     duration_s: float | None = None
+    touch: Touch | None = None
 
 
 def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
@@ -71,6 +86,8 @@ def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
     Raises:
         RequestError: there is no such key, or a setting that it needs is missing.
     """
+    if settings.touch is not None:
+        return _make_touch(key, settings, settings.touch)
     if key in TRANSLATIONS:
         shift = {"translation": [NUDGE_M * way for way in TRANSLATIONS[key]]}
         return {"move": {**_list_fields(settings), "by": shift, "along": "line"}}
@@ -95,6 +112,21 @@ def make_nudge(key: str, settings: NudgeSettings) -> dict[str, Any]:
     axes = "world" if key.isupper() else "hand"
     turned: dict[str, Any] = {"rotation_deg": [math.degrees(NUDGE_RAD) * part for part in axis], "axes": axes}
     return {"move": {**_list_fields(settings), "by": turned, "along": "line"}}
+
+
+def _make_touch(key: str, settings: NudgeSettings, touch: Touch) -> dict[str, Any]:
+    """Return the step of a key that may end at a contact: a guarded move of one hand along the key's direction.
+
+    Raises:
+        RequestError: the key does not translate, or both hands are nudged.
+    """
+    if key not in TRANSLATIONS:
+        raise RequestError(f"key {key}: touches nothing; expected {', '.join(TRANSLATIONS)}, or no touch")
+    if settings.hand == "both":
+        raise RequestError(f"key {key}: one hand touches at a time; expected hand left or right")
+    kept = {"hand": settings.hand, "other_hand": settings.other_hand, "free_axis": settings.free_axis}
+    window = {"direction": list(TRANSLATIONS[key]), "window_m": [0.0, NUDGE_M]}
+    return {"touch": {**kept, **window, "force_n": touch.force_n, "pieces": list(touch.pieces)}}
 
 
 def _list_fields(settings: NudgeSettings) -> dict[str, Any]:

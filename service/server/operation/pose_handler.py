@@ -21,7 +21,7 @@ from service.server.requests import RequestReader, current_warnings, list_files
 from service.trust import current_caller
 from service.trust.rpc import Context, deadline_of
 from service.wire.plain import to_plain
-from service.wire.poses import pose_to_message, read_drag
+from service.wire.poses import drawing_to_message, pose_to_message, read_drag
 from service.work.plan import Refused
 from service.work.pose import LeadTask, OpenedPoses, check_pose, lead_pose, open_poses
 
@@ -66,6 +66,7 @@ class PoseHandler:
                 feet=opened.ground.feet,
                 pose=session.describe(0),
                 notes=notes,
+                drawing=drawing_to_message(opened.drawing) if first.open.with_drawing else None,
             )
         )
         waiting = _WaitingEvents()

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from service.proto.planner.v1 import request_pb2 as planner_dot_v1_dot_request__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15planner/v1/pose.proto\x12\nplanner.v1\x1a\x18planner/v1/request.proto\"q\n\x12PoseSessionRequest\x12+\n\x04open\x18\x01 \x01(\x0b\x32\x1b.planner.v1.OpenPoseSessionH\x00\x12&\n\x05\x65vent\x18\x02 \x01(\x0b\x32\x15.planner.v1.PoseEventH\x00\x42\x06\n\x04part\"=\n\x0fOpenPoseSession\x12*\n\x07request\x18\x01 \x01(\x0b\x32\x19.planner.v1.MotionRequest\"\xcc\x01\n\tPoseEvent\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12 \n\x04\x64rag\x18\x02 \x01(\x0b\x32\x10.planner.v1.DragH\x00\x12$\n\x04undo\x18\x03 \x01(\x0b\x32\x14.planner.v1.UndoPoseH\x00\x12$\n\x04redo\x18\x04 \x01(\x0b\x32\x14.planner.v1.RedoPoseH\x00\x12\"\n\x03set\x18\x05 \x01(\x0b\x32\x13.planner.v1.SetPoseH\x00\x12\x14\n\x0cwith_preview\x18\x06 \x01(\x08\x42\x07\n\x05order\"\x9d\x01\n\x04\x44rag\x12\'\n\x07targets\x18\x01 \x03(\x0b\x32\x16.planner.v1.DragTarget\x12,\n\x06joints\x18\x02 \x03(\x0b\x32\x1c.planner.v1.Drag.JointsEntry\x12\x0f\n\x07is_last\x18\x03 \x01(\x08\x1a-\n\x0bJointsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"E\n\nDragTarget\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\x10\n\x08position\x18\x02 \x03(\x01\x12\x17\n\x0fquaternion_wxyz\x18\x03 \x03(\x01\"\n\n\x08UndoPose\"\n\n\x08RedoPose\"*\n\x07SetPose\x12\x1f\n\x04pose\x18\x01 \x01(\x0b\x32\x11.planner.v1.Start\"w\n\x13PoseSessionResponse\x12/\n\x06opened\x18\x01 \x01(\x0b\x32\x1d.planner.v1.PoseSessionOpenedH\x00\x12\'\n\x04pose\x18\x02 \x01(\x0b\x32\x17.planner.v1.SessionPoseH\x00\x42\x06\n\x04part\"{\n\x11PoseSessionOpened\x12\x13\n\x0bjoint_names\x18\x01 \x03(\t\x12\r\n\x05links\x18\x02 \x03(\t\x12\x0c\n\x04\x66\x65\x65t\x18\x03 \x03(\t\x12%\n\x04pose\x18\x04 \x01(\x0b\x32\x17.planner.v1.SessionPose\x12\r\n\x05notes\x18\x05 \x03(\t\"\xee\x02\n\x0bSessionPose\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12\x10\n\x08revision\x18\x02 \x01(\x04\x12\x12\n\nis_checked\x18\x03 \x01(\x08\x12\x0c\n\x04\x62\x61se\x18\x04 \x03(\x01\x12\x11\n\tpositions\x18\x05 \x03(\x01\x12\x0e\n\x06miss_m\x18\x06 \x03(\x01\x12\x10\n\x08miss_rad\x18\x07 \x03(\x01\x12#\n\x05stops\x18\x08 \x03(\x0b\x32\x14.planner.v1.PoseStop\x12\x18\n\x0b\x63learance_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10\x62\x61lance_margin_m\x18\n \x01(\x01H\x01\x88\x01\x01\x12\x19\n\x0ctorque_share\x18\x0b \x01(\x01H\x02\x88\x01\x01\x12\x12\n\nundo_steps\x18\x0c \x01(\r\x12\x12\n\nredo_steps\x18\r \x01(\r\x12\x0f\n\x07refusal\x18\x0e \x01(\tB\x0e\n\x0c_clearance_mB\x13\n\x11_balance_margin_mB\x0f\n\r_torque_share\"^\n\x08PoseStop\x12&\n\x04kind\x18\x01 \x01(\x0e\x32\x18.planner.v1.PoseStopKind\x12\r\n\x05names\x18\x02 \x03(\t\x12\r\n\x05value\x18\x03 \x01(\x01\x12\x0c\n\x04text\x18\x04 \x01(\t*\xd4\x01\n\x0cPoseStopKind\x12\x1e\n\x1aPOSE_STOP_KIND_UNSPECIFIED\x10\x00\x12\x17\n\x13POSE_STOP_KIND_PAIR\x10\x01\x12\x1e\n\x1aPOSE_STOP_KIND_JOINT_LIMIT\x10\x02\x12\x1a\n\x16POSE_STOP_KIND_BALANCE\x10\x03\x12\x19\n\x15POSE_STOP_KIND_TORQUE\x10\x04\x12\x18\n\x14POSE_STOP_KIND_REACH\x10\x05\x12\x1a\n\x16POSE_STOP_KIND_REFUSED\x10\x06\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x15planner/v1/pose.proto\x12\nplanner.v1\x1a\x18planner/v1/request.proto\"q\n\x12PoseSessionRequest\x12+\n\x04open\x18\x01 \x01(\x0b\x32\x1b.planner.v1.OpenPoseSessionH\x00\x12&\n\x05\x65vent\x18\x02 \x01(\x0b\x32\x15.planner.v1.PoseEventH\x00\x42\x06\n\x04part\"S\n\x0fOpenPoseSession\x12*\n\x07request\x18\x01 \x01(\x0b\x32\x19.planner.v1.MotionRequest\x12\x14\n\x0cwith_drawing\x18\x02 \x01(\x08\"\xcc\x01\n\tPoseEvent\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12 \n\x04\x64rag\x18\x02 \x01(\x0b\x32\x10.planner.v1.DragH\x00\x12$\n\x04undo\x18\x03 \x01(\x0b\x32\x14.planner.v1.UndoPoseH\x00\x12$\n\x04redo\x18\x04 \x01(\x0b\x32\x14.planner.v1.RedoPoseH\x00\x12\"\n\x03set\x18\x05 \x01(\x0b\x32\x13.planner.v1.SetPoseH\x00\x12\x14\n\x0cwith_preview\x18\x06 \x01(\x08\x42\x07\n\x05order\"\x9d\x01\n\x04\x44rag\x12\'\n\x07targets\x18\x01 \x03(\x0b\x32\x16.planner.v1.DragTarget\x12,\n\x06joints\x18\x02 \x03(\x0b\x32\x1c.planner.v1.Drag.JointsEntry\x12\x0f\n\x07is_last\x18\x03 \x01(\x08\x1a-\n\x0bJointsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\x01:\x02\x38\x01\"E\n\nDragTarget\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\x10\n\x08position\x18\x02 \x03(\x01\x12\x17\n\x0fquaternion_wxyz\x18\x03 \x03(\x01\"\n\n\x08UndoPose\"\n\n\x08RedoPose\"*\n\x07SetPose\x12\x1f\n\x04pose\x18\x01 \x01(\x0b\x32\x11.planner.v1.Start\"w\n\x13PoseSessionResponse\x12/\n\x06opened\x18\x01 \x01(\x0b\x32\x1d.planner.v1.PoseSessionOpenedH\x00\x12\'\n\x04pose\x18\x02 \x01(\x0b\x32\x17.planner.v1.SessionPoseH\x00\x42\x06\n\x04part\"\xa6\x01\n\x11PoseSessionOpened\x12\x13\n\x0bjoint_names\x18\x01 \x03(\t\x12\r\n\x05links\x18\x02 \x03(\t\x12\x0c\n\x04\x66\x65\x65t\x18\x03 \x03(\t\x12%\n\x04pose\x18\x04 \x01(\x0b\x32\x17.planner.v1.SessionPose\x12\r\n\x05notes\x18\x05 \x03(\t\x12)\n\x07\x64rawing\x18\x06 \x01(\x0b\x32\x18.planner.v1.RobotDrawing\"\xe7\x01\n\x0cRobotDrawing\x12&\n\x06joints\x18\x01 \x03(\x0b\x32\x16.planner.v1.DrawnJoint\x12%\n\x06\x62odies\x18\x02 \x03(\x0b\x32\x15.planner.v1.DrawnBody\x12&\n\x06\x66rames\x18\x03 \x03(\x0b\x32\x16.planner.v1.DrawnFrame\x12\x32\n\x05tools\x18\x04 \x03(\x0b\x32#.planner.v1.RobotDrawing.ToolsEntry\x1a,\n\nToolsEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"L\n\nDrawnJoint\x12\x0e\n\x06parent\x18\x01 \x01(\r\x12\x0c\n\x04rest\x18\x02 \x03(\x02\x12\x0e\n\x06motion\x18\x03 \x03(\x02\x12\x10\n\x08position\x18\x04 \x01(\r\"H\n\tDrawnBody\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0c\n\x04link\x18\x02 \x01(\t\x12\r\n\x05joint\x18\x03 \x01(\r\x12\x10\n\x08vertices\x18\x04 \x03(\x02\"7\n\nDrawnFrame\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05joint\x18\x02 \x01(\r\x12\x0c\n\x04pose\x18\x03 \x03(\x02\"\xee\x02\n\x0bSessionPose\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12\x10\n\x08revision\x18\x02 \x01(\x04\x12\x12\n\nis_checked\x18\x03 \x01(\x08\x12\x0c\n\x04\x62\x61se\x18\x04 \x03(\x01\x12\x11\n\tpositions\x18\x05 \x03(\x01\x12\x0e\n\x06miss_m\x18\x06 \x03(\x01\x12\x10\n\x08miss_rad\x18\x07 \x03(\x01\x12#\n\x05stops\x18\x08 \x03(\x0b\x32\x14.planner.v1.PoseStop\x12\x18\n\x0b\x63learance_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1d\n\x10\x62\x61lance_margin_m\x18\n \x01(\x01H\x01\x88\x01\x01\x12\x19\n\x0ctorque_share\x18\x0b \x01(\x01H\x02\x88\x01\x01\x12\x12\n\nundo_steps\x18\x0c \x01(\r\x12\x12\n\nredo_steps\x18\r \x01(\r\x12\x0f\n\x07refusal\x18\x0e \x01(\tB\x0e\n\x0c_clearance_mB\x13\n\x11_balance_margin_mB\x0f\n\r_torque_share\"^\n\x08PoseStop\x12&\n\x04kind\x18\x01 \x01(\x0e\x32\x18.planner.v1.PoseStopKind\x12\r\n\x05names\x18\x02 \x03(\t\x12\r\n\x05value\x18\x03 \x01(\x01\x12\x0c\n\x04text\x18\x04 \x01(\t*\xd4\x01\n\x0cPoseStopKind\x12\x1e\n\x1aPOSE_STOP_KIND_UNSPECIFIED\x10\x00\x12\x17\n\x13POSE_STOP_KIND_PAIR\x10\x01\x12\x1e\n\x1aPOSE_STOP_KIND_JOINT_LIMIT\x10\x02\x12\x1a\n\x16POSE_STOP_KIND_BALANCE\x10\x03\x12\x19\n\x15POSE_STOP_KIND_TORQUE\x10\x04\x12\x18\n\x14POSE_STOP_KIND_REACH\x10\x05\x12\x1a\n\x16POSE_STOP_KIND_REFUSED\x10\x06\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -34,32 +34,44 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_DRAG_JOINTSENTRY']._loaded_options = None
   _globals['_DRAG_JOINTSENTRY']._serialized_options = b'8\001'
-  _globals['_POSESTOPKIND']._serialized_start=1459
-  _globals['_POSESTOPKIND']._serialized_end=1671
+  _globals['_ROBOTDRAWING_TOOLSENTRY']._loaded_options = None
+  _globals['_ROBOTDRAWING_TOOLSENTRY']._serialized_options = b'8\001'
+  _globals['_POSESTOPKIND']._serialized_start=1968
+  _globals['_POSESTOPKIND']._serialized_end=2180
   _globals['_POSESESSIONREQUEST']._serialized_start=63
   _globals['_POSESESSIONREQUEST']._serialized_end=176
   _globals['_OPENPOSESESSION']._serialized_start=178
-  _globals['_OPENPOSESESSION']._serialized_end=239
-  _globals['_POSEEVENT']._serialized_start=242
-  _globals['_POSEEVENT']._serialized_end=446
-  _globals['_DRAG']._serialized_start=449
-  _globals['_DRAG']._serialized_end=606
-  _globals['_DRAG_JOINTSENTRY']._serialized_start=561
-  _globals['_DRAG_JOINTSENTRY']._serialized_end=606
-  _globals['_DRAGTARGET']._serialized_start=608
-  _globals['_DRAGTARGET']._serialized_end=677
-  _globals['_UNDOPOSE']._serialized_start=679
-  _globals['_UNDOPOSE']._serialized_end=689
-  _globals['_REDOPOSE']._serialized_start=691
-  _globals['_REDOPOSE']._serialized_end=701
-  _globals['_SETPOSE']._serialized_start=703
-  _globals['_SETPOSE']._serialized_end=745
-  _globals['_POSESESSIONRESPONSE']._serialized_start=747
-  _globals['_POSESESSIONRESPONSE']._serialized_end=866
-  _globals['_POSESESSIONOPENED']._serialized_start=868
-  _globals['_POSESESSIONOPENED']._serialized_end=991
-  _globals['_SESSIONPOSE']._serialized_start=994
-  _globals['_SESSIONPOSE']._serialized_end=1360
-  _globals['_POSESTOP']._serialized_start=1362
-  _globals['_POSESTOP']._serialized_end=1456
+  _globals['_OPENPOSESESSION']._serialized_end=261
+  _globals['_POSEEVENT']._serialized_start=264
+  _globals['_POSEEVENT']._serialized_end=468
+  _globals['_DRAG']._serialized_start=471
+  _globals['_DRAG']._serialized_end=628
+  _globals['_DRAG_JOINTSENTRY']._serialized_start=583
+  _globals['_DRAG_JOINTSENTRY']._serialized_end=628
+  _globals['_DRAGTARGET']._serialized_start=630
+  _globals['_DRAGTARGET']._serialized_end=699
+  _globals['_UNDOPOSE']._serialized_start=701
+  _globals['_UNDOPOSE']._serialized_end=711
+  _globals['_REDOPOSE']._serialized_start=713
+  _globals['_REDOPOSE']._serialized_end=723
+  _globals['_SETPOSE']._serialized_start=725
+  _globals['_SETPOSE']._serialized_end=767
+  _globals['_POSESESSIONRESPONSE']._serialized_start=769
+  _globals['_POSESESSIONRESPONSE']._serialized_end=888
+  _globals['_POSESESSIONOPENED']._serialized_start=891
+  _globals['_POSESESSIONOPENED']._serialized_end=1057
+  _globals['_ROBOTDRAWING']._serialized_start=1060
+  _globals['_ROBOTDRAWING']._serialized_end=1291
+  _globals['_ROBOTDRAWING_TOOLSENTRY']._serialized_start=1247
+  _globals['_ROBOTDRAWING_TOOLSENTRY']._serialized_end=1291
+  _globals['_DRAWNJOINT']._serialized_start=1293
+  _globals['_DRAWNJOINT']._serialized_end=1369
+  _globals['_DRAWNBODY']._serialized_start=1371
+  _globals['_DRAWNBODY']._serialized_end=1443
+  _globals['_DRAWNFRAME']._serialized_start=1445
+  _globals['_DRAWNFRAME']._serialized_end=1500
+  _globals['_SESSIONPOSE']._serialized_start=1503
+  _globals['_SESSIONPOSE']._serialized_end=1869
+  _globals['_POSESTOP']._serialized_start=1871
+  _globals['_POSESTOP']._serialized_end=1965
 # @@protoc_insertion_point(module_scope)

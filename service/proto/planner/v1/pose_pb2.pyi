@@ -34,10 +34,12 @@ class PoseSessionRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[OpenPoseSession, _Mapping]] = ..., event: _Optional[_Union[PoseEvent, _Mapping]] = ...) -> None: ...
 
 class OpenPoseSession(_message.Message):
-    __slots__ = ("request",)
+    __slots__ = ("request", "with_drawing")
     REQUEST_FIELD_NUMBER: _ClassVar[int]
+    WITH_DRAWING_FIELD_NUMBER: _ClassVar[int]
     request: _request_pb2.MotionRequest
-    def __init__(self, request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ...) -> None: ...
+    with_drawing: bool
+    def __init__(self, request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_drawing: bool = ...) -> None: ...
 
 class PoseEvent(_message.Message):
     __slots__ = ("number", "drag", "undo", "redo", "set", "with_preview")
@@ -105,18 +107,73 @@ class PoseSessionResponse(_message.Message):
     def __init__(self, opened: _Optional[_Union[PoseSessionOpened, _Mapping]] = ..., pose: _Optional[_Union[SessionPose, _Mapping]] = ...) -> None: ...
 
 class PoseSessionOpened(_message.Message):
-    __slots__ = ("joint_names", "links", "feet", "pose", "notes")
+    __slots__ = ("joint_names", "links", "feet", "pose", "notes", "drawing")
     JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
     LINKS_FIELD_NUMBER: _ClassVar[int]
     FEET_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
     NOTES_FIELD_NUMBER: _ClassVar[int]
+    DRAWING_FIELD_NUMBER: _ClassVar[int]
     joint_names: _containers.RepeatedScalarFieldContainer[str]
     links: _containers.RepeatedScalarFieldContainer[str]
     feet: _containers.RepeatedScalarFieldContainer[str]
     pose: SessionPose
     notes: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, joint_names: _Optional[_Iterable[str]] = ..., links: _Optional[_Iterable[str]] = ..., feet: _Optional[_Iterable[str]] = ..., pose: _Optional[_Union[SessionPose, _Mapping]] = ..., notes: _Optional[_Iterable[str]] = ...) -> None: ...
+    drawing: RobotDrawing
+    def __init__(self, joint_names: _Optional[_Iterable[str]] = ..., links: _Optional[_Iterable[str]] = ..., feet: _Optional[_Iterable[str]] = ..., pose: _Optional[_Union[SessionPose, _Mapping]] = ..., notes: _Optional[_Iterable[str]] = ..., drawing: _Optional[_Union[RobotDrawing, _Mapping]] = ...) -> None: ...
+
+class RobotDrawing(_message.Message):
+    __slots__ = ("joints", "bodies", "frames", "tools")
+    class ToolsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    TOOLS_FIELD_NUMBER: _ClassVar[int]
+    joints: _containers.RepeatedCompositeFieldContainer[DrawnJoint]
+    bodies: _containers.RepeatedCompositeFieldContainer[DrawnBody]
+    frames: _containers.RepeatedCompositeFieldContainer[DrawnFrame]
+    tools: _containers.ScalarMap[str, str]
+    def __init__(self, joints: _Optional[_Iterable[_Union[DrawnJoint, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[DrawnBody, _Mapping]]] = ..., frames: _Optional[_Iterable[_Union[DrawnFrame, _Mapping]]] = ..., tools: _Optional[_Mapping[str, str]] = ...) -> None: ...
+
+class DrawnJoint(_message.Message):
+    __slots__ = ("parent", "rest", "motion", "position")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    REST_FIELD_NUMBER: _ClassVar[int]
+    MOTION_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    parent: int
+    rest: _containers.RepeatedScalarFieldContainer[float]
+    motion: _containers.RepeatedScalarFieldContainer[float]
+    position: int
+    def __init__(self, parent: _Optional[int] = ..., rest: _Optional[_Iterable[float]] = ..., motion: _Optional[_Iterable[float]] = ..., position: _Optional[int] = ...) -> None: ...
+
+class DrawnBody(_message.Message):
+    __slots__ = ("name", "link", "joint", "vertices")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    VERTICES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    link: str
+    joint: int
+    vertices: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, name: _Optional[str] = ..., link: _Optional[str] = ..., joint: _Optional[int] = ..., vertices: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class DrawnFrame(_message.Message):
+    __slots__ = ("name", "joint", "pose")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    joint: int
+    pose: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, name: _Optional[str] = ..., joint: _Optional[int] = ..., pose: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class SessionPose(_message.Message):
     __slots__ = ("number", "revision", "is_checked", "base", "positions", "miss_m", "miss_rad", "stops", "clearance_m", "balance_margin_m", "torque_share", "undo_steps", "redo_steps", "refusal")

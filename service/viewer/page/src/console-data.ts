@@ -35,7 +35,7 @@ export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[] }
 export interface RobotState {
   is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
   findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
-  control: string; farthest: { joint: string; off: number } | null;
+  control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface FoundHit {

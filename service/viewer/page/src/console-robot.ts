@@ -1,6 +1,7 @@
 // The strip on top of every screen: what the robot does, who has control, orders, and what changed behind the operator.
 import { RobotState, UNDER_WAY, sayRobot } from "./console-data";
 import { Link } from "./console-link";
+import { Measured } from "./console-pose-data";
 import { button, el } from "./dom";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1];
@@ -55,6 +56,13 @@ export class RobotStrip {
     this.seen.hidden = surprises.length === 0;
     if (state.is_there) this.showRobot(state);
     this.onState();
+  }
+
+  // The robot moved, and nothing else changed.
+  showMeasured(measured: Measured): void {
+    if (!this.state?.is_there) return;
+    Object.assign(this.state, measured);
+    this.line.textContent = sayRobot(this.state);
   }
 
   private showRobot(state: RobotState): void {

@@ -2,30 +2,13 @@
 import {
   Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanCloud, Tab, Tabs, ago, askedFor, readValue, writeValue,
 } from "./console-data";
+import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
 import { Link } from "./console-link";
 import { ScanView } from "./console-scan";
 import { button, el, words } from "./dom";
 
-const LATEST = "scopt-console-";  // choices of this browser
 const NONE = "";
-
-const recall = (name: string): string | null => localStorage.getItem(LATEST + name);
-const remember = (name: string, value: string): void => localStorage.setItem(LATEST + name, value);
-
-function choice(name: string, values: [string, string][], chosen: string, act: (value: string) => void): HTMLSelectElement {
-  const select = el("select", "choice", ...values.map(([value, text]) => {
-    const option = el("option", "", text);
-    option.value = value;
-    return option;
-  }));
-  select.setAttribute("aria-label", name);
-  select.value = chosen;
-  select.addEventListener("change", () => act(select.value));
-  return select;
-}
-
-const labelled = (name: string, ...content: HTMLElement[]): HTMLElement => el("label", "field", el("span", "", name), ...content);
 
 export class TabView {
   readonly element = el("div", "tab");

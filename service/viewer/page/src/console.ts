@@ -2,6 +2,8 @@
 import { Job, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
 import { Judge, section } from "./console-judge";
 import { Link, State } from "./console-link";
+import { Measured } from "./console-pose-data";
+import { PoseTab } from "./console-pose";
 import { RobotStrip } from "./console-robot";
 import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
@@ -9,6 +11,7 @@ import { button, el, words } from "./dom";
 interface Settings { version: string; server: string }
 const REFRESH_MS = 5000;
 const INBOX = "inbox";
+const POSE = "pose tab";  // no task file is called so
 
 const saidBy = (error: unknown): string => (error instanceof Error ? error.message : String(error));
 
@@ -16,6 +19,7 @@ class ConsolePage {
   readonly link: Link;
   readonly robot: RobotStrip;
   tab: TabView | null = null;
+  pose: PoseTab | null = null;
   private readonly nav = el("nav", "tabs");
   private readonly list = el("div", "list");
   private readonly view = el("main", "viewport");
@@ -95,9 +99,22 @@ class ConsolePage {
   }
 
   private take(event: Record<string, unknown>): void {
-    if (event.event === "job") this.tab?.follow(event as unknown as Job);
-    if (event.event === "robot") this.robot.show(event as unknown as RobotState);
-    if (event.event === "hello") for (const job of event.jobs as Job[]) this.tab?.follow(job);
+    if (event.event === "job") this.follow(event as unknown as Job);
+    if (event.event === "robot") {
+      this.robot.show(event as unknown as RobotState);
+      this.pose?.hearRobot(event as unknown as RobotState);
+    }
+    if (event.event === "measured") {
+      this.robot.showMeasured(event as unknown as Measured);
+      this.pose?.showMeasured(this.robot.state?.joint_names ?? [], event as unknown as Measured);
+    }
+    if (event.event === "pose") this.pose?.hear(event);
+    if (event.event === "hello") for (const job of event.jobs as Job[]) this.follow(job);
+  }
+
+  private follow(job: Job): void {
+    this.tab?.follow(job);
+    this.pose?.follow(job);
   }
 
   private async refresh(): Promise<void> {
@@ -120,7 +137,8 @@ class ConsolePage {
       const kind = [tab.name === this.active ? "on" : "", tab.errors.length > 0 ? "wrong" : ""].filter(Boolean).join(" ");
       return button(kind, words(tab.name), tab.errors[0] ?? tab.help, () => this.choose(tab.name));
     });
-    this.nav.replaceChildren(inbox, ...tabs);
+    const pose = button(this.active === POSE ? "on" : "", "Pose", "Lead a pose by hand, nudge the robot", () => this.choose(POSE));
+    this.nav.replaceChildren(inbox, pose, ...tabs);
   }
 
   private drawRows(): void {
@@ -147,6 +165,12 @@ class ConsolePage {
         if (job.state === "finished") void this.open(job.plan_id);
       });
       this.scroll.replaceChildren(this.tab.element);
+    } else if (name === POSE) {
+      this.pose = new PoseTab(this.tabs, this.link, this.robot, this.view, (job) => {
+        if (job.state === "finished") void this.open(job.plan_id);
+      });
+      this.scroll.replaceChildren(this.pose.element);
+      if (this.robot.state) this.pose.hearRobot(this.robot.state);
     } else this.scroll.replaceChildren(el("p", "soft", "Choose a plan, or a task above."));
     this.drawTabs();
     this.drawRows();
@@ -155,6 +179,8 @@ class ConsolePage {
   private clear(): void {
     this.tab?.close();
     this.tab = null;
+    this.pose?.close();
+    this.pose = null;
     this.frame?.remove();
     this.frame = null;
     this.shown = "";
@@ -231,12 +257,13 @@ try {
   const page = new ConsolePage(settings);
   Object.assign(window, { __viewer: {
     ready: true,
-    get busy(): boolean { return page.tab?.view?.stage.isBusy ?? false; },
+    get busy(): boolean { return (page.tab?.view ?? page.pose?.view)?.stage.isBusy ?? false; },
     get state(): State { return page.link.state; },
     get robot(): RobotState | null { return page.robot.state; },
     get hasScan(): boolean { return page.tab?.view !== null && page.tab?.view !== undefined; },
     choose: (name: string): void => page.choose(name),
     open: (id: string): Promise<void> => page.open(id),
+    get pose(): PoseTab | null { return page.pose; },
     project: (place: number[]): number[] | null => page.tab?.view?.pixel(place) ?? null,
   } });
 } catch (error) {
