@@ -26,6 +26,7 @@ MOST_BYTES = 8 * 2**30  # of address space: what asks for more is a crash
 PARTS = (
     "folders",
     "fields",
+    "asked",
     "files",
     "simulations",
     "approvals",
@@ -101,7 +102,7 @@ def _choose(part: str, extent: Extent, seed: int, rng: random.Random) -> list[At
     match part:
         case "random_edits":
             return list(module.attacks(seed, RANDOM_EDITS[extent]))
-        case "fields":
+        case "fields" | "asked":
             found = list(module.attacks(seed, FIELDS[extent]))
             return [attack for attack in found if attack.is_short] if extent is Extent.SHORT else found
         case _:

@@ -39,6 +39,12 @@ BASES = (
     "reach",
     "resume",
     "compliant",
+    "moves",
+    "peg",
+    "paths",
+    "presses",
+    "touches",
+    "walk",
 )
 GROUPS = ("pushes", "contacts", "targets", "promises", "mechanism", "certificate", "servo", "others")
 FREE = {  # no verdict rests on it
@@ -158,7 +164,7 @@ def _is_believed(base: str, steps: Steps, change: Change, scratch: Path) -> bool
                 holder = holder[step]
             holder[last] = change(holder[last])
     folder.save(Level.FITTED)
-    with mock.patch.object(replay, "verify", _remember):
+    with mock.patch.object(replay, "verify", remember_certificates):
         answer, _ = judges.verify(folder.path)
     return answer is Answer.BELIEVED and judges.verify(folder.path)[0] is Answer.BELIEVED
 
@@ -169,17 +175,17 @@ def _list_edits(honest: Mapping[str, Any], group: str, rng: random.Random) -> It
         edits = [
             (steps, name)
             for steps in rng.sample(kind.places, min(len(kind.places), MOST_PLACES))
-            for name in _list_changes(_read(honest, steps))
+            for name in list_changes(read_at(honest, steps))
             if not f"{kind.name} {name}".startswith(TRUE)
         ]
         if kind.group == group and edits:
             steps, name = rng.choice(edits)
-            yield steps, name, _list_changes(_read(honest, steps))[name]
+            yield steps, name, list_changes(read_at(honest, steps))[name]
 
 
 def _list_kinds(honest: Mapping[str, Any]) -> list[Kind]:
     found: dict[str, Kind] = {}
-    for steps, _ in _walk(honest, ()):
+    for steps, _ in walk(honest, ()):
         name = ".".join("*" if isinstance(step, int) else step for step in steps)
         parts = [".".join(name.split(".")[:size]) for size in range(1, 3)]
         if not name or any(part in FREE or part in ELSEWHERE for part in parts):
@@ -194,20 +200,20 @@ def _list_kinds(honest: Mapping[str, Any]) -> list[Kind]:
     return list(found.values())
 
 
-def _walk(value: Any, steps: Steps) -> Iterator[tuple[Steps, Any]]:
+def walk(value: Any, steps: Steps) -> Iterator[tuple[Steps, Any]]:
     yield steps, value
     entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, inner in entries:
-        yield from _walk(inner, (*steps, key))
+        yield from walk(inner, (*steps, key))
 
 
-def _read(data: Any, steps: Steps) -> Any:
+def read_at(data: Any, steps: Steps) -> Any:
     for step in steps:
         data = data[step]
     return data
 
 
-def _list_changes(value: Any) -> dict[str, Change]:
+def list_changes(value: Any) -> dict[str, Change]:
     """Return what can be done to a value."""
     match value:
         case bool():
@@ -239,7 +245,7 @@ def _known() -> dict[bytes, Certificate]:
     return {}
 
 
-def _remember(motion: Motion) -> Certificate:
+def remember_certificates(motion: Motion) -> Certificate:
     """Return the certificate of a motion, made once for equal ones."""
     robot = motion.robot
     hashes = (robot_hash(robot), bodies_hash(robot), scene_hash(motion.scene))

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.attack.gantry_files import pick_place_request, write_gantry
+from benchmarks.attack.gantry_files import write_gantry
+from benchmarks.attack.step_requests import DEPTH, INTO, TOP, peg_request
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
@@ -18,55 +19,6 @@ from service.request.file import parse_request
 from service.result.output import write_result
 from service.simulation.run import execute_folder
 from service.simulation.verdict import judge
-
-FROM, INTO, WIDTH, CLEARANCE, DEPTH, TOP = (0.1, -0.2), (-0.1, 0.2), 0.04, 0.002, 0.06, 0.4
-UP = DEPTH + 0.03
-
-
-def make_hole(name: str, at: tuple[float, float]) -> list[dict[str, Any]]:
-    """Four walls about a hole on the table."""
-    width, rim = WIDTH + CLEARANCE, 0.04
-    off = 0.5 * (width + rim)
-    walls = {
-        "left": ([off, 0.0], [rim, width + 2 * rim]),
-        "right": ([-off, 0.0], [rim, width + 2 * rim]),
-        "far": ([0.0, off], [width, rim]),
-        "near": ([0.0, -off], [width, rim]),
-    }
-    return [
-        {
-            "type": "box",
-            "name": f"{name} {side}",
-            "size": [*size, DEPTH],
-            "position": [at[0] + shift[0], at[1] + shift[1], TOP + 0.5 * DEPTH],
-        }
-        for side, (shift, size) in walls.items()
-    ]
-
-
-def peg_request(urdf: Path, **changes: Any) -> dict[str, Any]:
-    """A peg out of a hole into another; ``changes`` are fields of steps by name."""
-    holes = [*make_hole("from", FROM), *make_hole("into", INTO)]
-    peg = {"name": "peg", "size": [WIDTH, WIDTH, 0.14], "position": [*FROM, TOP + 0.07], "mass_kg": 0.4}
-    request = pick_place_request(urdf, block=peg, obstacles=holes, object="peg")
-    fit = {"object": "peg", "clearance_m": CLEARANCE, "chamfer_m": 0.001, "depth_m": UP}
-    over = {"link": "peg", "position": [*INTO, TOP + 0.07 + UP], "quaternion_wxyz": [1, 0, 0, 0]}
-    names = ("left", "right", "far", "near")
-    steps: list[dict[str, Any]] = [
-        {"name": "take", "grasp": {"object": "peg", "force_n": 40.0}},
-        {"name": "out", "withdraw": {**fit, "axis": [0, 0, 1], "pieces": [f"from {side}" for side in names]}},
-        {"name": "across", "move": {"poses": [over]}},
-        {
-            "name": "in",
-            "insert": {**fit, "axis": [0, 0, -1], "at": [*INTO, TOP], "pieces": [f"into {side}" for side in names]},
-        },
-        {"name": "let go", "release": {"object": "peg"}},
-    ]
-    for step in steps:
-        kind = next(key for key in step if key != "name")
-        step[kind] |= changes.get(step["name"].replace(" ", "_"), {})
-    request["task"] = {"steps": steps}
-    return request
 
 
 @pytest.fixture(scope="module", name="urdf")
