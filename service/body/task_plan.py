@@ -64,6 +64,7 @@ class PlannedPhase:
         kept: its curve, if that is known already: its knots are the waypoints.
         limits: frame and largest speed of its origin [m/s], of frames that move at a given speed.
         duration_s: of the phase, where it is to take longer than the fastest law; None for that.
+        drift: largest residual of its own holds between waypoints, where it is smaller than that of its body [m, rad].
     """
 
     phase: TaskPhase
@@ -80,6 +81,7 @@ class PlannedPhase:
     kept: KeptCurve | None = None
     limits: tuple[tuple[str, float], ...] = ()
     duration_s: float | None = None
+    drift: float = np.inf
 
     @property
     def name(self) -> str:

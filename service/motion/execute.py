@@ -122,7 +122,7 @@ def _fit_spline(plan: TaskPlan, *, is_smooth: bool) -> Spline:
     body, robot = plan.body, plan.body.robot
     standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
-        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), own.drift(), phase.kept)
+        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), min(own.drift(), phase.drift), phase.kept)
         for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
@@ -194,8 +194,9 @@ def _limit_chords(plan: TaskPlan, spline: Spline, chord: float) -> Float[np.ndar
         own = _find_body(plan, phase)
         if own.touches is not None:
             chords[first:last] = np.minimum(chords[first:last], CONTACT_CHORD)
-        if own.kept:
-            chords[first:last] = np.minimum(chords[first:last], HELD_CHORD_SHARE * own.drift())
+        if own.kept or phase.drift < DRIFT:
+            drift = min(own.drift(), phase.drift)
+            chords[first:last] = np.minimum(chords[first:last], HELD_CHORD_SHARE * drift)
         if phase.is_tight:
             chords[first:last] = np.minimum(chords[first:last], TIGHT_CHORD)
     return chords

@@ -326,6 +326,7 @@ class _Stage:
             limits=tuple((led.frame, led.speed_m_s) for led in made.led if led.speed_m_s is not None),
             duration_s=None if made.profile != "any" else made.duration_s,
             body=self.standing,
+            drift=min((kept.drift for kept in self.kept), default=np.inf),
         )
 
     def count_followed(self, path: Float[np.ndarray, "T n"]) -> int:
