@@ -22,11 +22,13 @@ from scopt import EffortClock
 from service import parse_request, plan, write_result
 from service.replay.rest import make_rest_request
 from service.request.file import to_json
+from service.result.folder import GLB_NAME, OPENRAVE_NAME, VIEWER_NAME
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = {"name": "table", "type": "box", "size": [0.6, 1.2, 0.04], "position": [0.75, 0.0, 0.80]}
 LEFT_BOX = {"name": "left_box", "type": "box", "size": [0.2, 0.1, 0.25], "position": [0.70, 0.55, 0.945]}
 RIGHT_BOX = {"name": "right_box", "type": "box", "size": [0.2, 0.1, 0.25], "position": [0.70, -0.05, 0.945]}
+VIEWS = (VIEWER_NAME, GLB_NAME, OPENRAVE_NAME)
 WALL = {"name": "wall", "type": "box", "size": [0.1, 2.0, 2.0], "position": [1.1, 0.0, 1.0]}
 VALVE = {
     "mode": "hook",
@@ -141,10 +143,10 @@ def write_plan(request: dict[str, Any], folder: Path) -> str:
     return result.verdict.value
 
 
-def copy_of(name: str, scratch: Path) -> Path:
-    """Return a fresh copy of a base's result folder."""
+def copy_of(name: str, scratch: Path, *, is_drawn: bool = True) -> Path:
+    """Return a fresh copy of a base's result folder, with or without its drawings."""
     target = scratch / "result"
-    shutil.copytree(original(name) / "result", target)
+    shutil.copytree(original(name) / "result", target, ignore=None if is_drawn else shutil.ignore_patterns(*VIEWS))
     return target
 
 

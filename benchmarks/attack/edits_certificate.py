@@ -179,7 +179,7 @@ def keys_in_another_order(folder: Folder) -> None:
     folder.data = {"format": folder.data.pop("format"), **folder.data}
 
 
-@CERTIFICATE.harmless("arm", "reach")
+@CERTIFICATE.harmless("arm")
 def views_deleted(folder: Folder) -> None:
     (folder.path / "viewer.html").unlink()
     (folder.path / "scene.glb").unlink()

@@ -155,7 +155,7 @@ def _attack(base: str, group: str, seed: int, most: int | None, scratch: Path) -
 
 def _is_believed(base: str, steps: Steps, change: Change, scratch: Path) -> bool:
     """Edit a field of a fresh copy, and what the certificate repeats of it, and return whether it is certified."""
-    folder = Folder(bases.copy_of(base, scratch))
+    folder = Folder(bases.copy_of(base, scratch, is_drawn=False))
     for data in (folder.data, folder.certificate):
         if steps[0] in data:
             *way, last = steps

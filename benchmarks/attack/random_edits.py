@@ -79,7 +79,7 @@ def _run(seed: int, index: int, scratch: Path) -> tuple[Answer, str]:
     rng = np.random.default_rng([seed, index])
     part = PARTS[index % len(PARTS)]
     base = str(rng.choice(part.bases))
-    folder = Folder(bases.copy_of(base, scratch))
+    folder = Folder(bases.copy_of(base, scratch, is_drawn=False))
     leaves = list(_leaves(part.root(folder), ""))
     holder, key, where = leaves[int(rng.integers(len(leaves)))]
     before = float(holder[key])

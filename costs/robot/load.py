@@ -74,7 +74,7 @@ def build_robot(
     limits = _collect_limits(urdf, names, notes)
     postures = {name: _read_posture(srdf, name, names, limits, root == "floating") for name in srdf.states}
     _soften_postures(postures, urdf, names, notes)
-    meshes = _MeshFiles(roots, {}, {})
+    meshes = _MeshFiles(roots, {}, {}, {})
     meshes.read(urdf, urdf_where)
     cache = DerivedCache.of_user()
     key = make_key([format_urdf(urdf), root, str(bool(srdf.disabled_pairs)), *meshes.digests.values()])
@@ -247,11 +247,13 @@ class _MeshFiles:
         roots: folders they are looked for in.
         files: real path by the key that a result folder stores the file under.
         digests: SHA-256 of each file's content by its path.
+        found: key and real path of each mesh by the text that names it.
     """
 
     roots: Sequence[Path]
     files: dict[str, Path]
     digests: dict[Path, str]
+    found: dict[str, tuple[str, Path]]
 
     def read(self, urdf: Urdf, where: str) -> None:
         """Find all mesh files of a URDF's collision shapes."""
@@ -262,7 +264,9 @@ class _MeshFiles:
 
     def find(self, shape: Shape, where: str) -> Path:
         """Return the file of a mesh, whose element then has the path that a result folder stores it under."""
-        key, path = resolve_mesh(shape.uri, self.roots, where)
+        if shape.uri not in self.found:
+            self.found[shape.uri] = resolve_mesh(shape.uri, self.roots, where)
+        key, path = self.found[shape.uri]
         if self.files.setdefault(key, path) != path:
             raise RobotError(f"{where}: mesh '{shape.uri}' names another file than '{key}' elsewhere; rename one")
         if not shape.uri.startswith(PACKAGE_SCHEMES):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,6 +39,13 @@ def make_convex_mesh(vertices: Float[np.ndarray, "V 3"]) -> ConvexMesh:
     points = np.asarray(vertices, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
         raise ValueError(f"a hull needs finite vertices of shape (V, 3), got {points.shape}")
+    return _make_mesh(points.tobytes())
+
+
+@lru_cache(maxsize=512)
+def _make_mesh(vertices: bytes) -> ConvexMesh:
+    """Return the hull of (V, 3) finite vertices given as bytes; cached, since two files draw each body."""
+    points = np.frombuffer(vertices).reshape(-1, 3)
     centred = points - points.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=True)[2]
     extents = np.ptp(centred @ axes.T, axis=0)

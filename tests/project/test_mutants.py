@@ -89,7 +89,9 @@ def _project(tmp_path: Path) -> Copy:
     project = tmp_path / "project"
     for name in ("scopt", "tests"):
         (project / name).mkdir(parents=True)
-    (project / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['slow']\n")
+    (project / "pyproject.toml").write_text(
+        "[tool.pytest.ini_options]\nmarkers = ['slow']\naddopts = ['-p', 'no:dash']\n"
+    )
     (project / "scopt/__init__.py").touch()
     (project / "scopt/few.py").write_text(FEW)
     (project / "tests/test_few.py").write_text(
@@ -126,7 +128,10 @@ def test_a_line_is_tested_by_what_ran_its_statement_and_a_constant_by_all_that_r
     assert record(copy.root, tmp_path / "recorded").folder != recording.folder
 
 
-def test_a_mutant_is_killed_survives_or_never_ends_and_a_test_that_fails_anyway_tells_nothing(tmp_path: Path) -> None:
+def test_a_mutant_is_killed_survives_or_never_ends_and_a_test_that_fails_anyway_tells_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # else each child imports plugins that nothing here uses
     copy = _project(tmp_path)
     mutants = {(mutant.line, mutant.new): mutant for mutant in list_mutants("scopt/few.py", FEW.encode())}
     one, limit, red = ((f"{TESTS}{name}", 0.01) for name in ("test_1", "test_limit", "test_red"))

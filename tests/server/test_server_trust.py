@@ -15,7 +15,9 @@ from executor_waiting import until
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from planner_calls import plan_request, refusal
 from planner_server import ServerProcess, never_ready, planner_server
+from typer.testing import CliRunner
 
+from service.cli.app import app
 from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 from service.trust import Role, make_token
@@ -196,10 +198,8 @@ def test_no_secret_is_in_the_log_or_in_what_is_kept(fort: Fort) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--listen", "0.0.0.0:0"), ("needs --tls-cert and --tls-key", "needs --tokens")),
         (("--tls-cert", "gone.pem", "--tls-key", "gone.pem"), ("gone.pem: cannot be read",)),
         (("--allow", "/"), ("is the whole disk",)),
-        (("--robots", "/gone"), ("--robots /gone: is no folder",)),
     ],
 )
 def test_server_that_would_not_be_safe_does_not_start(
@@ -210,3 +210,20 @@ def test_server_that_would_not_be_safe_does_not_start(
     assert "Traceback" not in told
     for some in words:
         assert some in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--listen", "0.0.0.0:0"), ("needs --tls-cert and --tls-key", "needs --tokens")),
+        (("--robots", "/gone", "--listen", "127.0.0.1:0"), ("--robots /gone: is no folder",)),
+    ],
+)
+def test_options_that_would_not_be_safe_are_refused_before_anything_starts(
+    tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    done = CliRunner().invoke(app, ["serve", "--data", str(tmp_path / "data"), *arguments])
+    assert done.exit_code == 3
+    assert not (tmp_path / "data").exists()
+    for some in words:
+        assert some in done.output

@@ -28,6 +28,9 @@ FLAGS = (
     "--disable-component-update --disable-sync --use-angle=swiftshader --enable-unsafe-swiftshader --hide-scrollbars "
     "--window-size=1280,800"
 )
+# Without a graphics card the shaders of a page are compiled at its first drawing, which takes seconds.
+UNDRAWN = """for (const name of ["Arrays", "ArraysInstanced", "Elements", "ElementsInstanced", "RangeElements"])
+  WebGL2RenderingContext.prototype["draw" + name] = () => {};"""
 
 
 def find_chromium() -> str | None:
@@ -54,6 +57,7 @@ class Browser:
         self._patience_s = patience_s
         self._ids = itertools.count(1)
         self._buffer = b""
+        self._is_drawn = True
         self.events: list[dict[str, Any]] = []
         targets = self._call("Target.getTargets", session=None)["targetInfos"]
         page = next(target["targetId"] for target in targets if target["type"] == "page")
@@ -91,9 +95,11 @@ class Browser:
         """A DevTools command to the tab."""
         return self._call(method, self._session, **params)
 
-    def open(self, url: str) -> None:
-        """Load a page and wait until its viewer is ready."""
+    def open(self, url: str, is_drawn: bool = True) -> None:
+        """Load a page and wait until its viewer is ready; one that is only read need not be drawn."""
         self.call("Page.navigate", url="about:blank")
+        if is_drawn != self._is_drawn:
+            self._set_drawn(is_drawn)
         self.events.clear()
         self.call("Page.navigate", url=url)
         deadline = time.monotonic() + self._patience_s
@@ -101,6 +107,15 @@ class Browser:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no viewer at {url}: {self.complaints()}")
             time.sleep(0.05)
+
+    def _set_drawn(self, is_drawn: bool) -> None:
+        """Let the pages that are opened from now on draw their scene, or leave it out."""
+        if is_drawn:
+            self.call("Page.removeScriptToEvaluateOnNewDocument", identifier=self._undrawn)
+        else:
+            script = self.call("Page.addScriptToEvaluateOnNewDocument", source=UNDRAWN)
+            self._undrawn: str = script["identifier"]
+        self._is_drawn = is_drawn
 
     def run(self, expression: str) -> Any:
         """Value of a JavaScript expression."""
@@ -128,6 +143,7 @@ class Browser:
 
     def picture(self, path: Path | None = None) -> np.ndarray:
         """The page as (H, W, 3) bytes; also written to ``path``."""
+        assert self._is_drawn, "the page was opened without being drawn"
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         if path is not None:
             path.write_bytes(data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,16 +60,21 @@ class Page:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory) -> Mapping[str, Page]:
-    """Pages of all results, read by one browser in a small window."""
+def browser(tmp_path_factory) -> Iterator[Browser]:
     with open_browser(tmp_path_factory.mktemp("profile"), (240, 160)) as browser:
-        folder = tmp_path_factory.mktemp("told")
-        results = {name: make() for name, make in told_results(folder).items()}
-        return {name: Page(result, _read(browser, result, folder / "out")) for name, result in results.items()}
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def pages(browser, tmp_path_factory) -> Mapping[str, Page]:
+    """Pages of all results, which are read and not looked at."""
+    folder = tmp_path_factory.mktemp("told")
+    results = {name: make() for name, make in told_results(folder).items()}
+    return {name: Page(result, _read(browser, result, folder / "out")) for name, result in results.items()}
 
 
 def _read(browser: Browser, result: PlanResult, folder: Path) -> dict:
-    browser.open(write_result(result, folder).viewer.as_uri())
+    browser.open(write_result(result, folder).viewer.as_uri(), is_drawn=False)
     read = browser.run(READ)
     assert browser.complaints() == []
     return read
@@ -159,13 +164,12 @@ def test_nothing_is_called_proven_beside_a_refuted_or_unproven_pair(pages):
             assert "proven on the whole curve" not in page.read["says"], name
 
 
-def test_what_was_not_checked_is_said_beside_certified_and_nowhere_called_checked(pages, tmp_path):
+def test_what_was_not_checked_is_said_beside_certified_and_nowhere_called_checked(browser, tmp_path):
     result, placements = make_result()
     result["coverage"] = {"not_checked": ["torques (no link names a mass)"], "left_out": []}
     write_viewer(result, placements, tmp_path / "covered.html")
-    with open_browser(tmp_path / "profile") as browser:
-        browser.open((tmp_path / "covered.html").as_uri())
-        says = browser.run("document.querySelector('.says').textContent")
+    browser.open((tmp_path / "covered.html").as_uri(), is_drawn=False)
+    says = browser.run("document.querySelector('.says').textContent")
     assert says.endswith("; not checked: torques (no link names a mass)")
     assert "torques checked" not in says
     assert "torques" not in says.split("; not checked")[0]

@@ -96,7 +96,7 @@ def test_the_ground_is_below_a_robot_without_floor_and_soles(browser, tmp_path):
         result["pieces"] = [piece for piece in result["pieces"] if piece["kind"] != "floor"]
         poses = placements.poses + np.array([0, 0, shift, 0, 0, 0, 0])
         write_viewer(result, LinkPlacements(placements.links, poses), tmp_path / "page.html")
-        browser.open((tmp_path / "page.html").as_uri())
+        browser.open((tmp_path / "page.html").as_uri(), is_drawn=False)
         grounds.append(browser.run("window.__viewer.ground"))
     assert grounds[0] < 0.0
     assert grounds[1] == pytest.approx(grounds[0] - 2.0, abs=0.01)
@@ -111,7 +111,7 @@ def test_robot_pixels_are_where_the_hands_are_projected(browser, pages):
 
 
 def test_the_hand_leaves_its_place_as_time_goes_on(browser, pages):
-    browser.open(pages["certified"] + "#t=0&theme=dark&layers=robot,floor&camera=side")
+    browser.open(pages["certified"] + "#t=0&theme=dark&layers=robot,floor&camera=side", is_drawn=False)
     before = browser.run("window.__viewer.project('l_hand')")
     browser.run("window.__viewer.setTime(3)")
     after = browser.run("window.__viewer.project('l_hand')")
@@ -121,7 +121,7 @@ def test_the_hand_leaves_its_place_as_time_goes_on(browser, pages):
 
 
 def test_the_valve_turns_with_its_angle(browser, pages):
-    browser.open(pages["certified"] + "#t=6")
+    browser.open(pages["certified"] + "#t=6", is_drawn=False)
     assert browser.run("window.__viewer.angle(0)") == pytest.approx(TURN, abs=1e-3)
     assert "115°" in browser.run("document.querySelector('.label.spot').textContent")
 
@@ -155,7 +155,7 @@ def test_a_check_of_a_moved_joint_leads_to_what_moves(browser, tmp_path):
     result, placements = make_result()
     result["checks"][0]["where"] = {"time_s": 5.0, "position": None, "names": ["valve_turn"]}
     write_viewer(result, placements, tmp_path / "joint.html")
-    browser.open((tmp_path / "joint.html").as_uri())
+    browser.open((tmp_path / "joint.html").as_uri(), is_drawn=False)
     browser.run("[...document.querySelectorAll('.check')].find((e) => e.innerText.includes('joint limits')).click()")
     browser.settle()
     assert browser.run("window.__viewer.time") == pytest.approx(5.0)
@@ -164,15 +164,15 @@ def test_a_check_of_a_moved_joint_leads_to_what_moves(browser, tmp_path):
 
 
 def test_a_phase_tells_on_one_line_what_may_be_touched_alike(browser, pages):
-    browser.open(pages["certified"] + "#t=5")
+    browser.open(pages["certified"] + "#t=5", is_drawn=False)
     rows = browser.run("[...document.querySelectorAll('.now dd')].map((e) => e.textContent)")
     assert "l_hand ↔ rim/0 … rim/1 (2), to 4 mm" in rows
-    browser.open(pages["certified"] + "#t=1")
+    browser.open(pages["certified"] + "#t=1", is_drawn=False)
     assert "may touch" not in browser.run("document.querySelector('.now').textContent")
 
 
 def test_an_unsolved_result_says_what_stands_in_the_way(browser, pages):
-    browser.open(pages["unsolved"])
+    browser.open(pages["unsolved"], is_drawn=False)
     text = browser.run("document.body.innerText")
     assert "NOT FOUND" in text
     assert "l_hand enters 'crate' by 12 mm" in text
@@ -191,7 +191,7 @@ def test_labels_do_not_cover_each_other(browser, tmp_path):
     result, placements = make_result(verdict="NOT_FOUND")
     result["checks"] = [{**result["checks"][1], "name": f"clearance {i}"} for i in range(4)]
     write_viewer(result, placements, tmp_path / "crowd.html")
-    browser.open((tmp_path / "crowd.html").as_uri())
+    browser.open((tmp_path / "crowd.html").as_uri(), is_drawn=False)
     browser.settle()
     boxes = browser.run(
         "[...document.querySelectorAll('.label.bad:not([hidden]) span')].map((e) => e.getBoundingClientRect().toJSON())"
@@ -231,14 +231,14 @@ KEYS = [
 
 
 def test_keys_do_what_the_help_says(browser, pages):
-    browser.open(pages["certified"] + "#theme=dark&t=0")
+    browser.open(pages["certified"] + "#theme=dark&t=0", is_drawn=False)
     for key, expression, expected in KEYS:
         browser.key(key)
         assert browser.run(expression) == expected, key
 
 
 def test_space_plays_and_the_page_rests_when_paused(browser, pages):
-    browser.open(pages["certified"])
+    browser.open(pages["certified"], is_drawn=False)
     browser.settle()
     frames = browser.run("window.__viewer.frames")
     assert browser.run("new Promise((done) => setTimeout(() => done(window.__viewer.frames), 300))") == frames
@@ -248,7 +248,7 @@ def test_space_plays_and_the_page_rests_when_paused(browser, pages):
 
 def test_both_themes_keep_text_readable(browser, pages):
     for theme in ("dark", "light"):
-        browser.open(pages["certified"] + f"#theme={theme}")
+        browser.open(pages["certified"] + f"#theme={theme}", is_drawn=False)
         style = "getComputedStyle(document.querySelector('{}')).{}"
         text = browser.run(style.format(".check .name", "color"))
         card = browser.run(style.format(".panel", "backgroundColor"))
@@ -263,7 +263,7 @@ def test_a_hostile_name_stays_text(browser, tmp_path):
     result["pieces"][1]["name"] = "<b>crate</b>"
     path = tmp_path / "hostile.html"
     write_viewer(result, placements, path)
-    browser.open(path.as_uri())
+    browser.open(path.as_uri(), is_drawn=False)
     assert browser.run("window.bad === undefined")
     assert browser.run("document.querySelectorAll('img, b:not(.chip b)').length") == 0
     assert browser.complaints() == []
@@ -275,7 +275,7 @@ def test_a_long_name_of_a_robot_does_not_run_into_the_figures(browser, tmp_path)
     path = tmp_path / "long.html"
     write_viewer(result, placements, path)
     browser.size(1200, 800)
-    browser.open(path.as_uri())
+    browser.open(path.as_uri(), is_drawn=False)
     assert browser.run("(h => h.scrollWidth > h.clientWidth)(document.querySelector('.what h1'))")
     style = browser.run("getComputedStyle(document.querySelector('.what h1')).overflow")
     right = browser.run("document.querySelector('.what h1').getBoundingClientRect().right")

@@ -53,7 +53,7 @@ def shows_solid(browser, pose):
 
 
 def test_each_pose_is_a_dot_in_the_column_of_its_phase_and_the_path_leads_through_the_chosen_ones(browser, page):
-    browser.open(page)
+    browser.open(page, is_drawn=False)
     dots = browser.run(DOTS)
     assert sorted(dot[0] for dot in dots) == list(range(len(COSTS)))
     assert sorted(dot[0] for dot in dots if dot[3]) == PATH
@@ -72,7 +72,7 @@ def test_each_pose_is_a_dot_in_the_column_of_its_phase_and_the_path_leads_throug
 
 
 def test_counts_sentences_and_costs_are_told(browser, page):
-    browser.open(page)
+    browser.open(page, is_drawn=False)
     browser.settle()  # the graph is drawn once its size is known
     text = browser.run("document.querySelector('.poses').innerText")
     cells = browser.run("[...document.querySelectorAll('.graph-table b')].map((e) => Number(e.textContent))")
@@ -122,7 +122,7 @@ def test_a_failed_search_says_which_phase_has_no_pose(browser, tmp_path):
     graph["phases"][1] |= {"feasible": 0, "failures": {"pose: the seat is in the way": 9}}
     nothing = LinkPlacements(("pelvis",), np.zeros((0, 1, 7)))
     write_viewer({**result, "pose_graph": graph}, moved, tmp_path / "failed.html", nothing)
-    browser.open((tmp_path / "failed.html").as_uri())
+    browser.open((tmp_path / "failed.html").as_uri(), is_drawn=False)
     assert "No sequence: no pose of 'crouch' holds." in browser.run("document.querySelector('.poses').innerText")
     browser.run(HEAD.format(1) + ".dispatchEvent(new PointerEvent('pointerenter'))")
     assert "pose: the seat is in the way (9 times)" in browser.run(SAID)
@@ -139,7 +139,7 @@ def test_hostile_names_and_sentences_stay_text(browser, tmp_path):
         pose["phase"] = evil if pose["phase"] == "crouch" else pose["phase"]
     graph["not_linked"] = [evil, "<b>no way</b>"]
     write_viewer(result, moved, tmp_path / "hostile.html", place_graph())
-    browser.open((tmp_path / "hostile.html").as_uri())
+    browser.open((tmp_path / "hostile.html").as_uri(), is_drawn=False)
     assert browser.run(HEAD.format(1) + ".textContent") == evil
     browser.run(CLICK.format(2))
     assert evil in browser.run(SAID)

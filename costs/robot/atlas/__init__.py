@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 from costs.contact import Contact
 from costs.robot.atlas.description import DEFAULT_TOOL_DISTANCE, FOLDER, HandKind, format_urdf
@@ -27,7 +28,15 @@ from costs.robot.xmlfile import read_xml_text
 def load_atlas(
     root: Root, tool_distance_m: float | None, locked_joints: Mapping[str, float], hand: HandKind = "hook"
 ) -> RobotModel:
-    """Load the bundled Atlas; see ``costs.robot.load_robot``."""
+    """Load the bundled Atlas, once per process for equal arguments; see ``costs.robot.load_robot``."""
+    return _load(root, tool_distance_m, tuple(sorted(locked_joints.items())), hand)
+
+
+@lru_cache(maxsize=8)
+def _load(
+    root: Root, tool_distance_m: float | None, locked_joints: tuple[tuple[str, float], ...], hand: HandKind
+) -> RobotModel:
+    """Load the bundled Atlas; cached, since its files do not change and each plan and replay asks for it."""
     urdf, srdf = FOLDER / "atlas.urdf", FOLDER / "atlas.srdf"
     pairs = read_xml_text(srdf)
     if hand == "gripper":
@@ -37,7 +46,7 @@ def load_atlas(
     else:
         text = format_urdf(tool_distance_m)
     roots = (FOLDER.parent,)
-    robot = build_robot(text, pairs, roots, root, locked_joints, str(urdf), str(srdf))
+    robot = build_robot(text, pairs, roots, root, dict(locked_joints), str(urdf), str(srdf))
     patches = {name: patch for name, patch in load_contacts().items() if robot.model.existFrame(patch.link)}
     return replace(robot, contacts=patches)  # a gripper has no hooks
 
