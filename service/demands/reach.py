@@ -80,8 +80,8 @@ def _list_name_problems(field: str, part: GoalPartRequest, request: PlanRequest,
             continue
         yield from find_unknown_links(robot, (pose.relative_to,), f"{field}poses[{index}].relative_to")
         model = robot.model
-        known = [name for name in (pose.link, pose.relative_to) if model.existFrame(name)]
-        if len(known) == 2 and len({model.frames[model.getFrameId(name)].parentJoint for name in known}) == 1:
+        both = [name for name in (pose.link, pose.relative_to) if model.existFrame(name)]
+        if len(both) == 2 and len({model.frames[model.getFrameId(name)].parentJoint for name in both}) == 1:
             yield (
                 f"{field}poses[{index}].relative_to: {pose.relative_to} moves with {pose.link}: no motion "
                 "changes the pose between them; expected the world or another link"

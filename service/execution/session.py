@@ -16,7 +16,7 @@ from service.demands.targets import find_goal_joints
 from service.errors import RequestError
 from service.planner import plan
 from service.request.schema import PlanRequest, PoseRequest, StartRequest
-from service.request.tasks.reach import GoalRequest
+from service.request.tasks.reach import GoalPartRequest, GoalRequest
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.start.robot import load_requested_robot
@@ -115,10 +115,12 @@ class ReachSession:
     def _measure_off(self, path: Path, goal: GoalRequest) -> float:
         """Return how far the ends of a path are from the robot and from a goal: the farthest joint or link [rad, m]."""
         first = float(np.abs(turn_near(self._engine.robot, path[0], self._q) - self._q).max())
-        return max(first, *self._list_offs(path[-1], goal)) if first <= NEAR else np.inf
+        if first > NEAR:
+            return np.inf
+        return min(max([first, *self._list_offs(path[-1], part)]) for part in goal.alternatives)
 
-    def _list_offs(self, q: Float[np.ndarray, "n"], goal: GoalRequest) -> Iterator[float]:
-        """Yield how far each joint or link of a goal is from its place at a configuration [rad, m]."""
+    def _list_offs(self, q: Float[np.ndarray, "n"], goal: GoalPartRequest) -> Iterator[float]:
+        """Yield how far each joint or link of a goal is from its place at a configuration, but of regions [rad, m]."""
         for index, value in find_goal_joints(self._engine.robot, goal, q).items():
             yield abs(float(q[index]) - value)
         poses = [pose for pose in goal.poses if pose.relative_to is None and pose.position is not None]

@@ -154,7 +154,6 @@ from service.verify.motion import (
     PoseTarget,
     PressedPart,
     Profile,
-    RegionTarget,
     RelativePoseTarget,
     SupportPolygon,
     Target,
@@ -171,6 +170,7 @@ from service.verify.prepared_motion import (
     Placements,
     PreparedMotion,
 )
+from service.verify.region import RegionTarget
 from service.verify.resting import (
     PairDistance,
     RestingPose,

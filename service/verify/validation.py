@@ -19,12 +19,12 @@ from service.verify.motion import (
     Motion,
     Phase,
     PoseTarget,
-    RegionTarget,
     RelativePoseTarget,
     Target,
     VerifyError,
     WayTarget,
 )
+from service.verify.region import RegionTarget
 
 # Errors of directions and rotations written as decimal numbers.
 _UNIT_TOLERANCE = 1e-6

@@ -90,7 +90,7 @@ def find_span(motion: Motion, target: RegionTarget, first: float, last: float) -
         return target.at, target.at
     start, length = float(motion.curve.knots[0]), float(motion.curve.knots[-1] - motion.curve.knots[0])
     begin, end = (float(start + share * length) for share in target.during)
-    if end < first or begin > last or (begin >= last and end > last) or (end <= first and begin < first):
+    if end <= first or begin >= last:
         return None
     return max(begin, first), min(end, last)
 
