@@ -11,7 +11,17 @@ from costs.terms.joint_torque import JointTorque, StaticTorque
 from costs.terms.on_guide import OnGuide
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
-from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Positive, Scaled, Widened, WithinTolerance
+from costs.terms.wrappers import (
+    Between,
+    Joined,
+    Masked,
+    NormWithin,
+    PairWithin,
+    Positive,
+    Scaled,
+    Widened,
+    WithinTolerance,
+)
 
 __all__ = [
     "AxisDirection",
@@ -36,6 +46,7 @@ __all__ = [
     "NormWithin",
     "OnGuide",
     "PairClearance",
+    "PairWithin",
     "PointHalfSpace",
     "Positive",
     "RequiredClearance",
