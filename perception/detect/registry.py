@@ -28,10 +28,10 @@ from perception.detect.engine.verdict import rate, rate_fit
 from perception.detect.hose.detector import detect_hose
 from perception.detect.lever import detect_lever
 from perception.detect.panel.detector import detect_panel
-from perception.detect.shared.detection import CONFIDENT, Detection
+from perception.detect.shared.detection import Detection
 from perception.detect.shared.detector import Detector
 from perception.detect.shared.faces import FacesInSight
-from perception.detect.shared.overlap import settle_overlaps
+from perception.detect.shared.overlap import offer_alternatives, settle_overlaps
 from perception.detect.valve.detector import detect_turnable, detect_valve
 from perception.detect.valve.wheel import detect_wheels
 from perception.detect.vehicle.opening import detect_opening
@@ -174,8 +174,7 @@ def detect_at(
 ) -> Iterator[tuple[str, list[Detection]]]:
     """Fit objects where a person clicked, and yield each kind with its best few fits, sure or not.
 
-    Kinds that the engine has no fit for are found by their detectors near the click; so is a single kind of which no
-    fit is confident.
+    Kinds that the engine has no fit for are found by their detectors near the click.
 
     Args:
         kinds, view, on_kind, on_failure: see ``detect_each``.
@@ -184,21 +183,21 @@ def detect_at(
     around: Surroundings | None = None
     index: SightIndex | None = None
     for kind in kinds:
-        hits: list[Detection] = []
+        fits: list[Detection] = []
+        others: list[Detection] = []
         if kind in CLICKED and len(view.near.points):
             on_kind(kind)
             index = index or sight_index(view.cloud)
             around = around or Surroundings.of(view.near.points, np.median(view.near.starts, axis=0), click)
             for name, template in CLICKED[kind].items():
-                hits += [rate_fit(name, fit) for fit in fit_at(template, around, index)]
+                fits += [rate_fit(name, fit) for fit in fit_at(template, around, index)]
             for other in _ALSO.get(kind, ()):
                 for _, more in detect_each((other,), view, click, on_failure=on_failure):
-                    hits += more
-        is_sure = any(hit.confidence >= CONFIDENT for hit in hits)
-        if kind not in CLICKED or (len(kinds) == 1 and not is_sure):
+                    others += more
+        if not fits and not others:
             for _, more in detect_each((kind,), view, click, on_kind, on_failure):
-                hits += more
-        yield kind, sorted(settle_overlaps(hits), key=lambda hit: -hit.confidence)[:_MOST_AT_CLICK]
+                others += more
+        yield kind, offer_alternatives(fits, others)[:_MOST_AT_CLICK]
 
 
 def _is_in_reach(hit: Detection, view: View) -> bool:

@@ -34,6 +34,8 @@ _OF_LEVELS = 0.1  # share of the surface that faces up of a level that counts as
 _FEWEST_PATCHES = 3
 # Standard deviations from level and upright of floors, walls and a camera that is held square [rad].
 _OF_LEVEL, _OF_WALL, _OF_CAMERA = 0.03, 0.06, 0.5
+# Cosines: downwards from which a sensor looks down, and up to which all the more; range of a close-up [m].
+_DOWN, _NEAR = (0.6, 0.3), 1.0
 _REFINEMENTS = 4
 _MOST_REFINED = 6
 # Standard deviation of a level's patches from its plane, and least half-width of one that is fitted [m].
@@ -53,6 +55,7 @@ class Evidence:
         pitch: cosine between the direction and that in which the sensor looked; 0 for one that looked all around.
         roll: cosine between the direction and the nearer axis across the sensor's field; 0 if it has none.
         usual_deg: angle to the direction upwards of a usual frame.
+        close_up: 0 to 1, how near and how squarely the sensor looked down on the surface that faces up.
         is_opposite: whether it is the direction downwards of a usual frame, within 30 degrees.
         n_walls: number of directions of walls, 0 to 2.
     """
@@ -64,6 +67,7 @@ class Evidence:
     pitch: float
     roll: float
     usual_deg: float
+    close_up: float
     is_opposite: bool
     n_walls: int
 
@@ -75,7 +79,8 @@ class Evidence:
         attitude = -0.5 * ((self.pitch + 0.3) / 0.4) ** 2 - 0.5 * min(self.roll / 0.25, 2.0) ** 2
         # A sensor is mounted upside down more often than on its side.
         usual = max(-0.5 * min(self.usual_deg / 25.0, 3.2) ** 2, -3.0 if self.is_opposite else -np.inf)
-        return float(support + upright + attitude + usual - 4.0 * self.below)
+        # What fills the view from less than a metre is what a sensor was held to, a door say, more often than a floor.
+        return float(support + upright + attitude + usual - 4.0 * self.below - 4.0 * self.close_up)
 
 
 @dataclass(frozen=True)
@@ -178,22 +183,28 @@ def _rate(direction: Float[np.ndarray, "3"], surfaces: Surfaces, look: Look) -> 
     floor = float(_kernel(cosine) @ weight)
     height = surfaces.centre @ direction
     below = 0.0
-    if floor > 0.0:
+    if floor > LEAST_FLOOR:
         levels = _group(height, _kernel(cosine) * weight, 0.1)
         main = max(levels, key=lambda level: float((_kernel(cosine) * weight)[level].sum()))
         low = np.average(height[main], weights=(_kernel(cosine) * weight)[main] + 1e-12)
         steep = np.abs(cosine) < np.cos(np.radians(20.0))
         below = float(weight[(height < low - 0.1) & steep].sum())
     n_walls = _count_walls(direction, surfaces, upright)
+    pitch, near = float(look.ahead @ direction), np.inf
+    if floor > 0.0:
+        near = float(np.average(surfaces.range, weights=_kernel(cosine) * weight))
     across = [abs(float(axis @ direction)) for axis in (look.wide, look.narrow) if axis.any()]
     evidence = Evidence(
         floor=floor,
         ceiling=float(_kernel(-cosine) @ weight),
         wall=float(upright @ weight),
         below=below,
-        pitch=float(look.ahead @ direction),
+        pitch=pitch,
         roll=min(across, default=0.0),
         usual_deg=look.angle_to_usual(direction),
+        close_up=float(
+            np.clip((-pitch - _DOWN[0]) / _DOWN[1], 0.0, 1.0) * np.clip((_NEAR - near) / _NEAR, 0.0, 0.5) * 2.0
+        ),
         is_opposite=look.is_opposite(direction),
         n_walls=n_walls,
     )

@@ -52,6 +52,15 @@ def test_upwards_is_found_in_any_frame(axes: Float[np.ndarray, "3 3"], turn: tup
     assert abs(levelling.lift - 1.4) < 0.03
 
 
+@pytest.mark.parametrize("axes", [_CAMERA, _OPENGL], ids=["camera", "opengl"])
+def test_a_door_that_fills_the_view_of_a_near_camera_is_no_floor(axes: Float[np.ndarray, "3 3"]) -> None:
+    meshes = [box((0.5, -1.0, 0.0), (0.6, 1.0, 2.0)), box((0.43, -0.1, 0.98), (0.45, 0.04, 1.0))]
+    cloud = scan(meshes, Pose((0.0, 0.0, 1.1), pitch=0.1), DepthCamera(width=200, height=150), seed=1)
+    levelling = find_levelling(Cloud((cloud.points - (0.0, 0.0, 1.1)) @ axes.T, np.zeros(3)))
+    assert levelling is not None
+    assert levelling.pose[2, :3] @ axes[:, 2] > np.cos(np.radians(8.0))
+
+
 def test_the_proposed_transform_makes_the_cloud_level(tmp_path: Path) -> None:
     path = tmp_path / "camera.pcd"
     write_pcd(path, _turned(_CAMERA).points)

@@ -39,7 +39,7 @@ def propose(template: Template, around: Surroundings) -> list[Site]:
         over = plane.height(around.points)
         loose = around.points[(over > max(starts.over[0], 3.0 * plane.sigma)) & (over < starts.over[1])]
         turns = Rotation.from_rotvec(np.outer(_spread_angles(starts.n_turns), plane.frame[2])).as_matrix()
-        turned = np.einsum("tij,kj,pkl->ptil", turns, plane.frame.T, starts.postures).reshape(-1, 3, 3)
+        turned = np.einsum("tij,jk,pkl->ptil", turns, plane.frame.T, starts.postures).reshape(-1, 3, 3)
         site = _make_site(template, around, plane, loose, turned, np.repeat(starts.lifts, starts.n_turns))
         if site is not None:
             sites.append(site)

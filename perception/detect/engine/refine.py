@@ -16,6 +16,7 @@ from perception.detect.engine.template import Template
 
 _STEP = 1e-4  # of finite differences [m]
 _SAMPLES, _FEW_SAMPLES = 8, 4  # along a ray through an object
+_COARSE = 0.012  # gates beyond which few samples do [m]
 _ROUGHLY = 0.018  # distance of a point that lies on a rough fit [m]
 _BESIDE = 0.045  # up to which a point lies beside it [m]
 _FREE = 1e3  # standard deviation of what no mount holds
@@ -23,6 +24,7 @@ _DAMPING = 1e-2  # of Levenberg's steps, as a share of the information
 _TURN_FLOOR, _SHIFT_FLOOR = 10.0, 100.0  # information added to a turn [1/rad^2] and a shift [1/m^2] in each step
 _MOST_TURN, _MOST_SHIFT = 0.25, 0.03  # in one step: [rad], [m]
 _BEFORE_END = 2.5  # standard deviations before a ray's end up to which it shows empty space
+_TURNED = 3.0  # standard deviations from level from which an object counts as turned
 _CORRELATED = 4.0  # neighbouring rays that err together
 
 
@@ -183,7 +185,7 @@ def _normal_equations(
     solids = template.solids(fits.sizes)
     ends = fits.local(region.ends)
     at_end, end_part = nearest_part(solids, ends)
-    through, depth = deepest(template, fits, solids, region, sigma)
+    through, depth = deepest(template, fits, solids, region, sigma, _FEW_SAMPLES if gate > _COARSE else _SAMPLES)
     kernel = max(gate, 2.0 * sigma)
     near = np.abs(at_end) < 3.0 * kernel
     weight_end = np.where(near & ~region.is_other, 1.0 / (1.0 + (at_end / kernel) ** 2) ** 2, 0.0)
@@ -249,6 +251,14 @@ def _add_priors(
         gradient[:, 6 + i] += (fits.sizes[:, i] - template.usual[i]) / spread**2
     if template.mount == "none":
         return
+    if np.isfinite(template.looseness.level):
+        x = fits.rotation[:, :, 0]
+        off = x[:, 2] / template.looseness.level
+        weight = (1.0 / (1.0 + (off / _TURNED) ** 2) / template.looseness.level) ** 2
+        # A turn moves the x axis by its cross product with it.
+        slope = np.stack([x[:, 1], -x[:, 0], np.zeros(len(x))], axis=1)
+        information[:, :3, :3] += weight[:, None, None] * slope[:, :, None] * slope[:, None]
+        gradient[:, :3] += (weight * x[:, 2])[:, None] * slope
     turned = Rotation.from_matrix(fits.rotation @ fits.start[0].transpose(0, 2, 1)).as_rotvec()
     across = np.eye(3) - fits.normal[:, :, None] * fits.normal[:, None]
     tilt = template.looseness.tilt**-2

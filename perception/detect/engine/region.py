@@ -22,11 +22,13 @@ class Mounting:
         frame: (3, 3) unit rows, the third its normal towards the object.
         point: (3,) on the plane [m].
         sigma: standard deviation of its points [m].
+        noise: least noise of what is seen on it, where its own points say so [m].
     """
 
     frame: Float[np.ndarray, "3 3"]
     point: Float[np.ndarray, "3"]
     sigma: float
+    noise: float = 0.0
 
     def height(self, points: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N"]:
         """Return heights over the plane [m]."""
@@ -113,6 +115,8 @@ def gather(
     sigma = measure_noise(ends[np.linalg.norm(ends - place, axis=1) < radius])
     other = np.zeros(len(rays), dtype=bool)
     if mounting is not None:
+        # Neighbours that err together look smooth; the whole face shows by how much.
+        sigma = max(sigma, mounting.noise)
         other = mounting.height(ends) < 2.5 * max(mounting.sigma, sigma)
     return Region(rays.start, rays.direction, ends, rays.length, other, sigma, place, radius, float(pitch), n_rays)
 

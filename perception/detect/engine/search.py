@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.stopping import poll
-from perception.detect.engine.refine import Hypotheses, deepest, join, rate_roughly, refine
+from perception.detect.engine.refine import Hypotheses, Refined, deepest, join, rate_roughly, refine
 from perception.detect.engine.region import Mounting, Region, gather
 from perception.detect.engine.rivals import flat_shares, lead_over_rivals
 from perception.detect.engine.score import FEATURES, Evidence, weigh
@@ -32,12 +32,14 @@ class Pass:
     """One refinement of all hypotheses.
 
     Attributes:
-        n_rays: rays of each site.
+        n_rays: rays of each site on which hypotheses are refined.
+        n_rated: rays of each site on which the refined ones are compared.
         n_kept: hypotheses that are refined.
         gates: of its steps [m].
     """
 
     n_rays: int
+    n_rated: int
     n_kept: int
     gates: tuple[float, ...]
 
@@ -49,16 +51,18 @@ class Effort:
     Attributes:
         kept_here: hypotheses of each site that are refined at all.
         n_fine: fits that are finished on all rays.
+        both_ways: whether the fit that points the other way is an answer too, or only the better of both.
     """
 
     kept_here: int
     passes: tuple[Pass, ...]
     n_fine: int
+    both_ways: bool
 
 
-WHOLE = Effort(4, (Pass(100, 48, (0.03, 0.025, 0.02)), Pass(200, 14, (0.02, 0.015, 0.012, 0.01))), 5)
+WHOLE = Effort(4, (Pass(100, 100, 48, (0.03, 0.025, 0.02)), Pass(200, 200, 14, (0.02, 0.015, 0.012, 0.01))), 5, False)
 """Of a search of many places in a scan."""
-CLICK = Effort(32, (Pass(100, 32, (0.03, 0.025, 0.02)), Pass(150, 10, (0.02, 0.015, 0.012, 0.01))), 3)
+CLICK = Effort(48, (Pass(100, 300, 48, (0.03, 0.025, 0.02)), Pass(150, 600, 12, (0.02, 0.015, 0.012, 0.01))), 4, True)
 """Of a search about a click."""
 
 
@@ -132,14 +136,8 @@ def search(
     for one_pass in effort.passes:
         scored = _refine_best(template, scored, regions, one_pass)
     fine: list[Fit] = []
-    kept: list[Hypotheses] = []
-    for _, i, one in scored:
-        if any(_is_same(one, other) for other in kept):
-            continue
-        kept.append(one)
-        fine += finish(template, one, sites[i], index)
-        if len(kept) == effort.n_fine:
-            break
+    for _, i, one in scored[: effort.n_fine]:
+        fine += finish(template, one, sites[i], index, both_ways=effort.both_ways)
     return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
 
 
@@ -171,14 +169,34 @@ def _refine_best(
         region = regions[i].balance(one_pass.n_rays)
         begun = join([one for _, j, one in scored if j == i])
         fits = refine(template, begun, region, one_pass.gates).hypotheses
+        region = region if one_pass.n_rated == one_pass.n_rays else regions[i].balance(one_pass.n_rated)
         # Near objects are thinned more than far ones: count all their rays.
         gains = weigh(template, fits, region).gain * regions[i].loose_share(region)
         better += [(float(gain), i, fits.select([k])) for k, gain in enumerate(gains)]
-    return sorted(better, key=lambda one: -one[0])
+    return _keep_apart(sorted(better, key=lambda one: -one[0]))
 
 
-def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -> list[Fit]:
-    """Return the fit of a hypothesis on the rays about it, with covariance and evidence; none without rays."""
+def _keep_apart(scored: list[tuple[float, int, Hypotheses]]) -> list[tuple[float, int, Hypotheses]]:
+    """Return scored hypotheses, best first, without those that a better one repeats."""
+    if not scored:
+        return []
+    every = join([one for _, _, one in scored])
+    offset = np.linalg.norm(every.place[:, None] - every.place[None], axis=2)
+    traces = np.einsum("aij,bij->ab", every.rotation, every.rotation)
+    is_same = (offset < _SAME_PLACE) & (traces > 1.0 + 2.0 * np.cos(_SAME_TURN))
+    kept: list[int] = []
+    for k in range(len(scored)):
+        if not is_same[k, kept].any():
+            kept.append(k)
+    return [scored[k] for k in kept]
+
+
+def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex, *, both_ways: bool = False) -> list[Fit]:
+    """Return the fit of a hypothesis on the rays about it, with covariance and evidence; none without rays.
+
+    Args:
+        both_ways: return the best fit that points the other way, too, the better one first.
+    """
     middle = one.place[0] + one.rotation[0] @ template.middle(template.named(one.sizes))[0]
     region = gather(index, middle, 1.2 * float(template.radii(one.sizes)[0]), site.mounting, _WIDE_RAYS)
     region = region.select(
@@ -187,39 +205,38 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex) -
     region = region.thin(_FINE_RAYS)
     if len(region) < _FEWEST_RAYS:
         return []
-    refined = refine(template, one, region, _FINE_GATES)
-    way, margin = turn_back(template, refined.hypotheses, region)
-    if way is not refined.hypotheses:
-        refined = refine(template, way, region, _FINE_GATES)
-    evidence = weigh(template, refined.hypotheses, region)
-    hits = evidence.hit[0] & ~region.is_other
-    covariance = np.linalg.inv(refined.information[0] + 1e-6 * np.eye(refined.information.shape[1]))
+    first = refine(template, one, region, _FINE_GATES)
+    turned, lead = turn_back(template, first.hypotheses, region)
+    second = refine(template, turned, region, _FINE_GATES) if both_ways or lead < 0.0 else None
+    ways = [(first, lead), (second, -lead)] if lead >= 0.0 else [(second, -lead), (first, lead)]
     return [
-        Fit(
-            template,
-            refined.hypotheses,
-            np.append(
-                average_features(template, refined.hypotheses, covariance, region, evidence),
-                (
-                    *flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma))),
-                    margin,
-                    lead_over_rivals(template, refined.hypotheses, region),
-                ),
-            ),
-            float(evidence.gain[0]),
-            covariance,
-            region.ends[hits],
-            region,
-            site,
-        )
+        _weigh_fit(template, refined, lead, region, site)
+        for refined, lead in (ways if both_ways else ways[:1])
+        if refined is not None
     ]
 
 
-def turn_back(template: Template, fit: Hypotheses, region: Region) -> tuple[Hypotheses, float]:
-    """Return the fit, or the best one that points the other way if that explains the rays better, and the margin.
+def _weigh_fit(template: Template, refined: Refined, lead: float, region: Region, site: Site) -> Fit:
+    """Return a refined fit with its evidence.
 
-    The margin is the logarithm of how much better the one explains them than the other.
+    Args:
+        lead: how much better it explains the rays than the one that points the other way.
     """
+    fit = refined.hypotheses
+    evidence = weigh(template, fit, region)
+    hits = evidence.hit[0] & ~region.is_other
+    covariance = np.linalg.inv(refined.information[0] + 1e-6 * np.eye(refined.information.shape[1]))
+    flat = flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma)))
+    margin = float(np.sign(lead) * np.log1p(abs(lead)))
+    features = np.append(
+        average_features(template, fit, covariance, region, evidence),
+        (*flat, margin, lead_over_rivals(template, fit, region)),
+    )
+    return Fit(template, fit, features, float(evidence.gain[0]), covariance, region.ends[hits], region, site)
+
+
+def turn_back(template: Template, fit: Hypotheses, region: Region) -> tuple[Hypotheses, float]:
+    """Return the best fit that points the other way, and how much better the rays are explained by the given one."""
     few = region.thin(_AVERAGE_RAYS)
     middle = fit.rotation[0] @ template.middle(template.named(fit.sizes))[0]
     back = fit.rotation @ np.diag([-1.0, -1.0, 1.0])
@@ -229,9 +246,8 @@ def turn_back(template: Template, fit: Hypotheses, region: Region) -> tuple[Hypo
     begun = Hypotheses.of(np.repeat(back, n, axis=0), place, np.repeat(fit.sizes, n, axis=0), fit.normal[0])
     others = refine(template, begun, few, _TURNED_GATES).hypotheses
     gains = weigh(template, join([fit, others]), few).gain
-    best = int(np.argmax(gains))
-    lead = float(gains[0] - gains[1:].max())
-    return (fit if best == 0 else others.select([best - 1])), float(np.log1p(abs(lead)))
+    best = int(np.argmax(gains[1:]))
+    return others.select([best]), float(gains[0] - gains[1 + best])
 
 
 def average_features(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -62,7 +62,7 @@ class Surroundings:
     @property
     def faces(self) -> list[Mounting]:
         """Steep planes."""
-        return [plane for plane in self.planes if abs(plane.frame[2, 2]) < _STEEP]
+        return [replace(plane, noise=plane.sigma) for plane in self.planes if abs(plane.frame[2, 2]) < _STEEP]
 
     def places(self, among: Float[np.ndarray, "K 3"], radius: float) -> Float[np.ndarray, "P 3"]:
         """Return middles of the points that lie within a radius about the click [m], nearest to it first."""

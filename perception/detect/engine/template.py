@@ -53,10 +53,12 @@ class Looseness:
     Attributes:
         tilt: of its orientation, but about the support's normal [rad].
         height: along the support's normal [m].
+        level: of the x axis of an object at rest from level, if it is not clearly turned; infinite: any [rad].
     """
 
     tilt: float
     height: float
+    level: float = np.inf
 
 
 @dataclass(frozen=True)

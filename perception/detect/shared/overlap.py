@@ -1,4 +1,4 @@
-"""The rule for hits that overlap: of two hits on the same points, the surer one stands."""
+"""Rules for hits on the same points: the surer one stands, or a person chooses between them."""
 
 from __future__ import annotations
 
@@ -37,6 +37,21 @@ def settle_overlaps(hits: Sequence[Detection]) -> list[Detection]:
         else:
             settled[i] = hit
     return [settled[i] for i in sorted(settled)]
+
+
+def offer_alternatives(fits: Sequence[Detection], others: Sequence[Detection]) -> list[Detection]:
+    """Return fits of one kind from which a person chooses, and other hits of the kind, surest first.
+
+    Fits on the same points stay, each less sure than what a surer one leaves: they cannot all be right.  Of other hits
+    those stay that ``settle_overlaps`` leaves.
+    """
+    standing = {id(hit) for hit in settle_overlaps([*fits, *others])}
+    offered: list[Detection] = []
+    for hit in sorted([*fits, *(hit for hit in others if id(hit) in standing)], key=lambda hit: -hit.confidence):
+        tree = cKDTree(hit.points) if len(hit.points) else None
+        left = [1.0 - other.confidence for other in offered if _share(other, tree) > _MOSTLY]
+        offered.append(replace(hit, confidence=min([hit.confidence, *left])))
+    return sorted(offered, key=lambda hit: -hit.confidence)
 
 
 def _share(hit: Detection, tree: cKDTree | None) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,11 +11,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from perception import CONFIDENT, Detection, View, detect_at, make_view
-from perception.detect.engine.click import fit_at
+from perception.detect.engine.click import fit_at, propose
 from perception.detect.engine.doubts import list_doubts
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Primitive, Torus, nearest, nearest_part
 from perception.detect.engine.surroundings import Surroundings
 from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
+from perception.detect.engine.templates.lever import LEVER
+from perception.detect.shared.overlap import offer_alternatives
 from perception.sightlines import sight_index
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.scenes.loose import Drill
@@ -54,6 +58,47 @@ def test_few_fits_are_returned_best_first_and_the_worse_ones_say_what_is_against
     assert 1 <= len(hits) <= 4
     assert confidences == sorted(confidences, reverse=True)
     assert all(hit.doubts for hit in hits if hit.confidence < 0.3)
+
+
+def test_fits_on_the_same_points_leave_each_other_what_is_left_of_certainty(
+    drills: tuple[np.ndarray, list[Detection]],
+) -> None:
+    _, hits = drills
+    best = hits[0]
+    back = replace(best, confidence=0.9 * best.confidence)
+    aside = replace(back, points=best.points + 1.0)
+    assert offer_alternatives([back, best, aside], []) == [best, aside, replace(back, confidence=1.0 - best.confidence)]
+    assert offer_alternatives([best], [back]) == [best]
+
+
+@pytest.fixture(scope="module")
+def faced() -> tuple[View, np.ndarray]:
+    """A lever that points to the sensor's right, 5 cm before a wall ahead; and its pivot."""
+    pivot, tip = (0.95, 0.1, 1.0), (0.95, -0.03, 1.0)
+    wall = box((1.0, -1.0, 0.0), (1.1, 1.0, 2.0))
+    bar, neck = cylinder(pivot, tip, 0.01, 24), cylinder(pivot, (1.0, 0.1, 1.0), 0.01, 24)
+    return make_view(scan([wall, bar, neck], Pose((0.0, 0.0, 1.2)), SCANNER, 0)), np.array(pivot)
+
+
+def test_what_hangs_on_a_face_begins_with_its_z_axis_out_of_the_face(faced: tuple[View, np.ndarray]) -> None:
+    view, pivot = faced
+    around = Surroundings.of(view.near.points, np.median(view.near.starts, axis=0), pivot)
+    sites = propose(LEVER, around)
+    assert sites
+    for site in sites:
+        assert site.mounting is not None
+        assert site.begun.rotation[:, :, 2] == pytest.approx(
+            np.broadcast_to(site.mounting.frame[2], (len(site.begun), 3)), abs=1e-6
+        )
+
+
+def test_a_lever_near_a_click_is_fitted_and_its_opposite_is_offered_too(faced: tuple[View, np.ndarray]) -> None:
+    view, pivot = faced
+    ((_, hits),) = detect_at(("lever",), view, pivot + np.array([-0.03, 0.02, 0.05]))
+    ways = [hit.pose_world_object[:3, 0] for hit in hits]
+    right = [k for k, hit in enumerate(hits) if np.linalg.norm(hit.pose_world_object[:3, 3] - pivot) < 0.015]
+    assert any(ways[k] @ (0.0, -1.0, 0.0) > np.cos(np.radians(5.0)) for k in right)
+    assert any(way @ (0.0, 1.0, 0.0) > np.cos(np.radians(10.0)) for way in ways)
 
 
 def test_a_carton_at_a_click_is_no_drill() -> None:

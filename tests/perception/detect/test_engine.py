@@ -17,6 +17,7 @@ from perception.detect.engine.score import FEATURES, weigh
 from perception.detect.engine.search import Site, search
 from perception.detect.engine.template import Looseness, Part, Size, Template, columns
 from perception.detect.engine.templates.drill import DRILL
+from perception.detect.engine.templates.lever import LEVER
 from perception.detect.engine.templates.wheel import WHEEL
 from perception.detect.engine.verdict import confidence_of, rate
 from perception.detect.shared.detection import Detection
@@ -221,3 +222,20 @@ def test_a_box_is_explained_better_by_a_box_than_by_a_drill() -> None:
         fit = refine(DRILL, begun, region, (0.02, 0.015, 0.01, 0.01)).hypotheses
         leads.append(lead_over_rivals(DRILL, fit, region))
     assert leads[0] < 0.0 < leads[1]
+
+
+@pytest.mark.parametrize(("begun_deg", "least", "most"), [(8.0, 0.0, 3.0), (60.0, 55.0, 60.5)])
+def test_a_lever_that_rays_leave_open_is_level_unless_it_is_clearly_turned(
+    begun_deg: float, least: float, most: float
+) -> None:
+    cloud = scan([box((1.0, -1.0, 0.0), (1.1, 1.0, 2.0))], Pose((0.0, 0.0, 1.2)), SCANNER, 0)
+    out = np.array([-1.0, 0.0, 0.0])
+    mounting = Mounting(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], out]), np.array([1.0, 0.0, 1.0]), 0.002)
+    place = np.array([0.9, 0.0, 1.0])
+    region = gather(sight_index(cloud), place, 0.3, mounting, 400)
+    turned = Rotation.from_rotvec(np.radians(begun_deg) * out).as_matrix() @ mounting.frame.T
+    # All rays that end beyond it pass beside it: none says how it is turned.
+    few = region.select(np.flatnonzero(np.abs(region.ends[:, 1]) > 0.25))
+    fit = refine(LEVER, Hypotheses.of(turned[None], place[None], LEVER.usual[None], out), few, (0.01,) * 8)
+    slope = np.degrees(np.arcsin(abs(fit.hypotheses.rotation[0, 2, 0])))
+    assert least <= slope <= most

@@ -32,7 +32,7 @@ LEVER = Template(
     build=_build,
     hollows=lambda s: (),
     mount="face",
-    looseness=Looseness(tilt=0.08, height=0.02),
+    looseness=Looseness(tilt=0.04, height=0.02, level=0.04),
     reach=0.05,
     extent="length",
     middle=lambda s: columns(0.5 * s["length"], 0.0, -0.3 * s["stand_off"]),
