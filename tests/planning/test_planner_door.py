@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +12,13 @@ import pytest
 from given_doors import door_request
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
+from shared_plans import copy_undrawn, plan_once, write_once
 from stranger import Stranger
 
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 
 G = 9.81
@@ -29,33 +28,39 @@ def _plan(**arguments: Any) -> PlanResult:
     return plan(parse_request(door_request(**arguments)))
 
 
+def _plan_stay(open_deg: float) -> tuple[PlanResult, Path]:
+    """The plan of a lever door that the hand stays at, with its folder."""
+    request = parse_request(door_request(open_deg=open_deg, x=0.75, stays=True))
+    return plan_once(request), write_once(request)
+
+
 @pytest.fixture(scope="module")
-def pushed(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlanResult, Path]:
-    """A lever door pushed open to 50 degrees, with its folder."""
-    result = _plan(open_deg=50.0, x=0.75)
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
-    folder = tmp_path_factory.mktemp("door") / "out"
-    write_result(result, folder)
-    return result, folder
+def pushed() -> tuple[PlanResult, Path]:
+    """A lever door pushed open to 50 degrees, where the hand stays on the leaf, with its folder."""
+    return _plan_stay(50.0)
+
+
+@pytest.fixture(scope="module")
+def handled() -> tuple[PlanResult, Path]:
+    """A lever door opened to 20 degrees by a hand that stays at the handle, with its folder."""
+    return _plan_stay(20.0)
 
 
 def test_a_lever_door_is_pushed_open_with_a_regrasp(pushed: tuple[PlanResult, Path]) -> None:
     result, _ = pushed
     names = [phase.name for phase in result.motion.phases]
     assert names[:4] == ["reach", "approach", "turn the handle", "open"]
+    assert names[-1] == "push 2"
     assert result.figures["opening_deg"] == pytest.approx(50.0, abs=0.1)
     assert result.figures["lever_deg"] == pytest.approx(30.0, abs=0.1)
     assert result.figures["free_width_m"] == pytest.approx(0.9 * (1.0 - np.cos(np.deg2rad(50.0))), abs=1e-3)
 
 
-@pytest.mark.parametrize(("open_deg", "last"), [(50.0, "push 2"), (20.0, "open")])
-def test_a_hand_stays_on_the_leaf_after_a_regrasp_or_at_the_handle(open_deg: float, last: str, tmp_path: Path) -> None:
-    result = _plan(open_deg=open_deg, x=0.75, stays=True)
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
-    assert result.motion.phases[-1].name == last
-    assert result.figures["opening_deg"] == pytest.approx(open_deg, abs=0.1)
-    write_result(result, tmp_path)
-    again = verify_result(tmp_path)
+def test_a_hand_stays_at_the_handle(handled: tuple[PlanResult, Path]) -> None:
+    result, folder = handled
+    assert result.motion.phases[-1].name == "open"
+    assert result.figures["opening_deg"] == pytest.approx(20.0, abs=0.1)
+    again = verify_result(folder)
     assert again["verdict"] == "CERTIFIED", again["explanation"]
 
 
@@ -149,9 +154,8 @@ def _loaded(data: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "lie", [_scale_witness, _widen_region, _drop_loads, _halve_load, _drop_regions, _slip_friction]
 )
-def test_lies_about_loads_are_not_believed(pushed: tuple[PlanResult, Path], lie: Any, tmp_path: Path) -> None:
-    folder = tmp_path / "lie"
-    shutil.copytree(pushed[1], folder)
+def test_lies_about_loads_are_not_believed(handled: tuple[PlanResult, Path], lie: Any, tmp_path: Path) -> None:
+    folder = copy_undrawn(handled[1], tmp_path / "lie")
     data = json.loads((folder / "result.json").read_text())
     before = copy.deepcopy(data["phases"])
     lie(data)
@@ -212,7 +216,7 @@ def test_requests_that_make_no_sense_are_refused(change: dict[str, Any], words: 
 
 
 def test_a_door_out_of_reach_says_so() -> None:
-    result = _plan(x=2.0)
+    result = plan(parse_request(door_request(x=2.0) | {"options": {"starts": 1}}))
     assert result.verdict in (Verdict.NOT_FOUND, Verdict.INFEASIBLE)
     assert result.explanation
 

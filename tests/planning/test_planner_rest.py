@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import yaml
 from given_doors import door_request
 from given_mechanisms import drawer_request
 from given_wheels import wheel_request
-from shared_plans import write_once
+from shared_plans import copy_undrawn, write_once
 from tiny_robots import atlas
 from typer.testing import CliRunner
 
@@ -329,7 +328,7 @@ def test_a_lie_about_the_earlier_plan_is_noticed(
 ) -> None:
     folder = _write(plan(_rest(turned, "retract", _state(turned, "retract", 0.0), tmp_path)), tmp_path)
     forged = tmp_path / "forged"
-    shutil.copytree(folder, forged)
+    copy_undrawn(folder, forged)
     data = read_result(forged)
     lie(data)
     (forged / "result.json").write_text(json.dumps(data))

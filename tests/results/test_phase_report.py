@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from given_doors import door_request
+from shared_plans import copy_undrawn
 
 from scopt import Settings
 from service.body.monitor import Monitor
@@ -159,7 +159,7 @@ def _add_a_phase(data: dict[str, Any]) -> None:
 @pytest.mark.parametrize("lie", [_call_it_violated, _take_a_check_away, _add_a_phase])
 def test_a_lie_about_a_phase_is_noticed(lie: Callable[[dict[str, Any]], None], folder: Path, tmp_path: Path) -> None:
     forged = tmp_path / "forged"
-    shutil.copytree(folder, forged)
+    copy_undrawn(folder, forged)
     data = read_result(forged)
     lie(data)
     (forged / "result.json").write_text(json.dumps(data))

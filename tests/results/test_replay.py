@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from given_wheels import wheel_request
-from shared_plans import write_example, write_once
+from shared_plans import copy_undrawn, write_example, write_once
 
 from service.errors import DamagedResultError, RequestError, ResultError
 from service.planner import plan
@@ -245,8 +245,8 @@ TURN_EDITS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 
 
 def forge(source: Path, target: Path, edit: Callable[[dict[str, Any]], object]) -> Path:
-    """A copy of a result with an edit, and the public hashes made to fit it."""
-    shutil.copytree(source, target)
+    """A copy of a result without its drawings, with an edit, and the public hashes made to fit it."""
+    copy_undrawn(source, target)
     data = read_result(target)
     edit(data)
     canonical = json.dumps(data["request"], sort_keys=True, separators=(",", ":"))

@@ -11,19 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 from given_mechanisms import drawer_request
-from shared_plans import plan_once
+from shared_plans import copy_undrawn, plan_once, write_once
 
 from service.demands.held_motion import compare_phase
 from service.errors import DamagedResultError
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult
+
+REQUEST = parse_request(drawer_request(to=0.1))
 
 
 @pytest.fixture(scope="module")
 def pulled() -> PlanResult:
-    return plan_once(parse_request(drawer_request(to=0.1)))
+    return plan_once(REQUEST)
 
 
 def _widen(data: dict[str, Any]) -> None:
@@ -65,9 +66,9 @@ def _hide(data: dict[str, Any]) -> None:
     ],
 )
 def test_a_statement_that_is_not_true_damages_a_result(
-    pulled: PlanResult, tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str
+    tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str
 ) -> None:
-    folder = write_result(pulled, tmp_path / "out").folder
+    folder = copy_undrawn(write_once(REQUEST), tmp_path / "out")
     (folder / "manifest.json").unlink()
     path = folder / "result.json"
     data = json.loads(path.read_text())

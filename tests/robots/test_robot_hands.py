@@ -60,7 +60,6 @@ def test_a_robot_by_path_does_every_task_with_the_hands_that_it_names(
     assert frames
     assert all(frame.split("_")[1] in RENAMED.values() for frame in frames)
     write_result(result, tmp_path / "out")
-    assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
     path = tmp_path / "request.json"
     path.write_text(json.dumps({**request_data, "robot": robot}))
     assert verify_result(tmp_path / "out", path)["verdict"] == "CERTIFIED"

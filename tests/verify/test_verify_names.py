@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from shared_plans import copy_undrawn, plan_once, write_once
 
 from costs.allowance import BodyRef
 from costs.robot import shapes
@@ -20,7 +21,6 @@ from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import read_motion, verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.verify import Status, VerifyError, verify
 
 CHECKER = Path(__file__).parents[2] / "examples" / "check_certificate.py"
@@ -45,9 +45,7 @@ def valve_request(obstacles=()):
 @pytest.fixture(scope="module")
 def turned():
     """A certified turn of a valve in free space."""
-    result = plan(valve_request())
-    assert result.verdict.value == "CERTIFIED"
-    return result
+    return plan_once(valve_request())
 
 
 def rod_places(motion):
@@ -135,10 +133,9 @@ def test_nothing_but_the_floor_is_allowed_to_be_touched_in_the_scene(turned, nam
 
 
 @pytest.fixture
-def folder(turned, tmp_path):
+def folder(tmp_path):
     """The turn's folder, to be edited."""
-    write_result(turned, tmp_path / "out")
-    return tmp_path / "out"
+    return copy_undrawn(write_once(valve_request()), tmp_path / "out")
 
 
 def edit(folder, change):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import fcntl
 import os
 import pickle
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from service import PlanRequest, load_request, plan, write_result
 from service.request.file import request_hash
+from service.result.folder import GLB_NAME, OPENRAVE_NAME, VIEWER_NAME
 from service.result.result import PlanResult, Verdict
 
 REQUESTS = Path(__file__).resolve().parents[3] / "examples" / "requests"
@@ -50,6 +52,11 @@ def plan_example(name: str) -> PlanResult:
 def write_example(name: str) -> Path:
     """Return the result folder of an example request."""
     return write_once(load_request(REQUESTS / f"{name}.yaml"))
+
+
+def copy_undrawn(folder: Path, target: Path) -> Path:
+    """Copy a result folder without its drawings, which each verification would draw again, and return the copy."""
+    return Path(shutil.copytree(folder, target, ignore=shutil.ignore_patterns(VIEWER_NAME, GLB_NAME, OPENRAVE_NAME)))
 
 
 @contextmanager
