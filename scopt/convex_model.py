@@ -186,6 +186,19 @@ def assemble(
     return Subproblem(program, position[:n_steps], is_free, by_stage)
 
 
+def drop_idle_rows(model: ConvexModel, lower: Float[np.ndarray, "N"], upper: Float[np.ndarray, "N"]) -> ConvexModel:
+    """Return the model without the hinge rows that are at most zero after every step within bounds.
+
+    Within them the merit is the same.  Rows of a constraint no longer stand where ``constraint_rows`` has them.
+    """
+    rows = model.hinge.rows
+    jacobian = rows.jacobian
+    slope, column = jacobian.data, jacobian.indices
+    rise = np.concatenate([[0.0], np.cumsum(slope * np.where(slope > 0.0, upper[column], lower[column]))])
+    is_idle = rows.value + np.diff(rise[jacobian.indptr]) <= 0.0
+    return replace(model, hinge=_select_rows(model.hinge, ~is_idle)) if is_idle.any() else model
+
+
 def _select_rows(rows: WeightedRows, these: Bool[np.ndarray, "m"]) -> WeightedRows:
     at = np.flatnonzero(these)
     return WeightedRows(AffineRows(rows.rows.value[at], rows.rows.jacobian[at]), rows.weight[at])

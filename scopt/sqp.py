@@ -14,7 +14,7 @@ from typing import Any, Generic
 import numpy as np
 from jaxtyping import Bool, Float
 
-from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify
+from scopt.convex_model import ConvexModel, Subproblem, assemble, convexify, drop_idle_rows
 from scopt.correction import Correction
 from scopt.hessian import HessianSum
 from scopt.iterate import Iterate, measure, measure_start
@@ -90,7 +90,7 @@ class TrustRegionSQP:
                 status = find_end()
                 if status is not None:
                     return course.finish(status, level.mu)
-                local = self._convexify(problem, current, level.mu, hessians)
+                local = self._convexify(problem, current, level.mu, hessians, radius)
                 is_accepted = False
                 while not region.terminate(radius):  # trust region iterations
                     status = find_end()
@@ -127,12 +127,15 @@ class TrustRegionSQP:
                 return course.finish(status, level.mu)
             level, radius = schedule.step(level), region.reopen(radius)
 
-    def _convexify(self, problem: Problem[StateT], current: Iterate[StateT], mu: float, hessians: HessianSum) -> _Local:
-        """Model the merit around an iterate."""
+    def _convexify(
+        self, problem: Problem[StateT], current: Iterate[StateT], mu: float, hessians: HessianSum, radius: float
+    ) -> _Local:
+        """Model the merit around an iterate, for steps in a box of a radius or in smaller ones."""
         began = time.perf_counter()
         model = convexify(problem, current.state, mu, hessians)
         is_corrected = self.settings.is_corrected
-        subproblem = assemble(model, hessians.is_free, _find_hard_rows(problem, model) if is_corrected else None)
+        asked = drop_idle_rows(model, *_bound_steps(problem, current, radius))
+        subproblem = assemble(asked, hessians.is_free, _find_hard_rows(problem, model) if is_corrected else None)
         took_s = time.perf_counter() - began
         correction = Correction.of(problem, current.x, model) if is_corrected else None
         return _Local(mu, current.merit(mu), model, subproblem, correction, took_s)
@@ -142,16 +145,14 @@ class TrustRegionSQP:
     ) -> _Step | None:
         """Minimise the model within bounds and trust box; None when no back end finds the minimum."""
         began = time.perf_counter()
-        scale = np.ones(problem.lower.shape[1]) if problem.step_scale is None else problem.step_scale
-        lower = np.maximum(problem.lower - current.x, -radius * scale).ravel()
-        upper = np.minimum(problem.upper - current.x, radius * scale).ravel()
+        lower, upper = _bound_steps(problem, current, radius)
         dx = self._solve_subproblem(local.subproblem, lower, upper)
         if dx is None:
             return None
         dx = np.asarray(np.clip(dx, lower, upper))
         solve_s = time.perf_counter() - began
         model_merit = local.model.merit(dx)
-        travel = float(np.abs(dx.reshape(problem.lower.shape) / scale).max(initial=0.0))
+        travel = float(np.abs(dx.reshape(problem.lower.shape) / _scale_steps(problem)).max(initial=0.0))
         return _Step(dx, travel, model_merit, local.merit - model_merit, solve_s)
 
     def _solve_subproblem(
@@ -289,6 +290,20 @@ class _Course(Generic[StateT]):
             solve_time_s=time.perf_counter() - self.started,
             message=message,
         )
+
+
+def _scale_steps(problem: Problem[Any]) -> Float[np.ndarray, "n"]:
+    """Return the largest step of each variable relative to the radius."""
+    return np.ones(problem.lower.shape[1]) if problem.step_scale is None else problem.step_scale
+
+
+def _bound_steps(
+    problem: Problem[Any], current: Iterate[Any], radius: float
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Return the least and the largest step of each variable in the box of a radius."""
+    most = radius * _scale_steps(problem)
+    lower = np.maximum(problem.lower - current.x, -most).ravel()
+    return lower, np.minimum(problem.upper - current.x, most).ravel()
 
 
 def _evaluate(problem: Problem[StateT], current: Iterate[StateT], local: _Local, step: _Step) -> _Trial[StateT]:

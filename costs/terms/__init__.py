@@ -12,7 +12,17 @@ from costs.terms.on_guide import OnGuide
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
 from costs.terms.region import BeyondBall, BeyondBox, LookAt
-from costs.terms.wrappers import Between, Joined, Masked, NormWithin, Positive, Scaled, Widened, WithinTolerance
+from costs.terms.wrappers import (
+    Between,
+    Joined,
+    Masked,
+    NormWithin,
+    PairWithin,
+    Positive,
+    Scaled,
+    Widened,
+    WithinTolerance,
+)
 
 __all__ = [
     "AxisDirection",
@@ -40,6 +50,7 @@ __all__ = [
     "NormWithin",
     "OnGuide",
     "PairClearance",
+    "PairWithin",
     "PointHalfSpace",
     "Positive",
     "RequiredClearance",

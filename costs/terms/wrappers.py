@@ -179,6 +179,39 @@ class NormWithin(Residual[StateT]):
         return AffineRows(norms - self._limit, sparse.csr_array(sums @ rows.jacobian))
 
 
+class PairWithin(Residual[StateT]):
+    """``d . r - limit cos(pi / 8)`` for each pair ``r`` of rows and eight directions ``d``: an octagon in a disc.
+
+    Small discs need it in place of ``NormWithin``: a step that crosses a disc leaves it on the other side, where its
+    one tangent sees nothing.
+    """
+
+    _SIDES = 8
+
+    def __init__(self, residual: Residual[StateT], limit: float) -> None:
+        """
+        Args:
+            residual: of two rows per waypoint.
+            limit: radius of the disc.
+        """
+        self.is_smooth = residual.is_smooth
+        self._residual = residual
+        angles = 2.0 * np.pi / self._SIDES * np.arange(self._SIDES)
+        self._directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        self._most = limit * np.cos(np.pi / self._SIDES)
+
+    def value(self, state: StateT) -> Float[np.ndarray, "m"]:
+        return self._measure(self._residual.value(state))
+
+    def linearize(self, state: StateT) -> AffineRows:
+        rows = self._residual.linearize(state)
+        each = sparse.kron(sparse.eye_array(len(rows.value) // 2), self._directions, format="csr")
+        return AffineRows(self._measure(rows.value), sparse.csr_array(each @ rows.jacobian))
+
+    def _measure(self, value: Float[np.ndarray, "p"]) -> Float[np.ndarray, "m"]:
+        return np.asarray((value.reshape(-1, 2) @ self._directions.T).ravel() - self._most)
+
+
 def _as_rows(values: Float[np.ndarray, "k"] | float) -> Float[np.ndarray, "k"]:
     """Return the numbers as an array, also a single one."""
     return np.atleast_1d(np.asarray(values, dtype=float))

@@ -13,7 +13,7 @@ from costs.allowance import Allowance
 from costs.kinematics import locate_frame
 from costs.robot import RobotModel
 from costs.state import MotionState
-from costs.terms import HeldTorque, NormWithin, WithinTolerance
+from costs.terms import HeldTorque, PairWithin, WithinTolerance
 from scopt import Constraint, Sense
 from service.body.whole_body import WholeBody
 from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
@@ -56,7 +56,7 @@ def lead_frame(
         )
     if hand.turns_freely:
         return tuple(constraints)
-    axis = NormWithin(aim_tool(robot, hand, waypoints), 2, hand.aim_rad)
+    axis = PairWithin(aim_tool(robot, hand, waypoints), hand.aim_rad)
     tolerance = min(0.2 * hand.aim_rad, AXIS_TOLERANCE)
     constraints.append(Constraint("hand axis", axis, tolerance=tolerance, unit="rad"))
     if hand.way is not None:

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from jacobian import check_jacobian
 from quadratic_terms import Affine, Function
 from tiny_robots import PLANAR, SPATIAL, atlas, chain, contact_free_state, random_configurations
@@ -13,6 +15,7 @@ from costs.terms import (
     JointDifference,
     JointTarget,
     NormWithin,
+    PairWithin,
     Positive,
     WithinTolerance,
 )
@@ -65,6 +68,23 @@ def test_a_norm_is_within_its_limit_by_hand():
     pair = JointTarget(2, 2, np.array([0, 1]), np.array([0, 1]), np.zeros(2))
     np.testing.assert_allclose(NormWithin(pair, 2, 1.0).value(state), [4.0, -1.0])
     np.testing.assert_allclose(NormWithin(pair, 2, 1.0).linearize(state).jacobian.toarray()[0, :2], [0.6, 0.8])
+
+
+def test_a_pair_is_within_an_octagon_of_the_disc(robot):
+    x = random_configurations(robot, np.random.default_rng(6), 3)
+    frame = "l_tool" if robot.is_floating else "tip"
+    axis = AxisDirection(robot, frame, [0, 2], np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]))
+    assert check_jacobian(PairWithin(axis, 0.3), contact_free_state(robot), x).shape[0] == 16
+
+
+@given(angle=st.floats(0.0, 6.3), radius=st.floats(0.0, 3.0), limit=st.floats(0.01, 2.0))
+def test_an_octagon_lies_in_its_disc_and_reaches_it_in_its_corners(angle, radius, limit):
+    state = contact_free_state(chain(PLANAR))(radius * np.array([[np.cos(angle), np.sin(angle)]]))
+    pair = JointTarget(1, 2, np.array([0]), np.array([0, 1]), np.zeros(2))
+    most = float(PairWithin(pair, limit).value(state).max())
+    off_corner = (angle % (np.pi / 4)) - np.pi / 8
+    assert most == pytest.approx(radius * np.cos(np.pi / 8 - abs(off_corner)) - limit * np.cos(np.pi / 8), abs=1e-12)
+    assert radius <= limit + 1e-12 or most > 0.0
 
 
 def test_positive_rows_have_the_derivative_of_those_beyond_zero(robot):

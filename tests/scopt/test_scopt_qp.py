@@ -8,7 +8,7 @@ from scipy import sparse
 
 from scopt import AffineRows, SolverError
 from scopt.affine import WeightedRows
-from scopt.convex_model import ConvexModel, assemble
+from scopt.convex_model import ConvexModel, assemble, drop_idle_rows
 from scopt.qp import BACKENDS, QPStatus, QuadraticProgram, select_backend
 
 
@@ -64,6 +64,22 @@ def test_back_ends_agree_with_cvxpy_where_rows_are_equalities(seed, n_waypoints)
         step = subproblem.extract_step(solution.x)
         np.testing.assert_allclose(model.absolute.rows.at(step)[is_hard], 0.0, atol=1e-5, err_msg=name)
         assert objective(solution.x) == pytest.approx(objective(solutions["cvxpy"].x), abs=scale), name
+
+
+@given(seed=st.integers(0, 10_000), n_waypoints=st.integers(4, 9))
+def test_rows_that_no_step_in_the_box_raises_above_zero_are_idle(seed, n_waypoints):
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, n_waypoints, 3, 1)
+    model.hinge.rows.value[:] -= rng.uniform(0.0, 1.0, len(model.hinge.weight))
+    upper = rng.uniform(0.0, 0.5, n_waypoints * 3)
+    lower = -rng.uniform(0.0, 0.5, n_waypoints * 3)
+    kept = drop_idle_rows(model, lower, upper)
+    corners = np.where(rng.random((20, len(upper))) < 0.5, lower, upper)
+    for step in corners:
+        assert kept.merit(step) == pytest.approx(model.merit(step), rel=1e-12)
+    slope = model.hinge.rows.jacobian.toarray()
+    most = model.hinge.rows.value + np.maximum(slope * upper, slope * lower).sum(axis=1)
+    assert len(kept.hinge.weight) == (most > 0.0).sum()
 
 
 def test_an_equality_is_what_a_great_penalty_comes_to():
