@@ -8,10 +8,10 @@ needed to check a region (``service.verify.forces.equilibrium``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import highspy
 import numpy as np
@@ -25,9 +25,11 @@ _RESOLUTION_M = 1e-4
 # A region is found to within the larger of the resolution and this share of its size: feet to 0.1 mm, places between
 # walls that are metres apart to a millimetre.
 _RELATIVE_RESOLUTION = 4e-4
+_FIRST_DIRECTIONS = tuple(np.array([np.cos(t), np.sin(t)]) for t in 0.1 + np.arange(3) * 2.0 * np.pi / 3.0)
 _FLAT_M = 1e-7  # a corner that sticks out by less is left out
 # Forces balance to this share of the weight (moments: times 1 m).
 _BALANCE_TOLERANCE = 5e-7
+_SHARE_TOLERANCE = 1e-9  # below zero or beyond a cap, of a force from a known basis [weight]
 # Least price of contact force in the search for the farthest place [m per weight]: of forces that are equally good for
 # the place, the smallest are taken. Places are less far by at most the price times the sum of forces.
 _FORCE_PRICE_M = 1e-5
@@ -180,6 +182,36 @@ def _cover_drift(
     )
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Place of the centre of mass that is farthest in a direction, under one wrench.
+
+    Attributes:
+        at: (2,) without the wrench's own offset, from the middle of the contact points [m].
+        shares: forces along the edges and normals of all pyramids [weight].
+        direction: (2,) unit vector.
+    """
+
+    at: Float[np.ndarray, "2"]
+    shares: Float[np.ndarray, "columns"]
+    direction: Float[np.ndarray, "2"]
+
+    @property
+    def turn(self) -> float:
+        """Angle of the direction from the first one, 0 to a whole turn [rad]."""
+        x, y = self.direction.tolist()
+        x0, y0 = _FIRST_DIRECTIONS[0].tolist()
+        return math.atan2(x0 * y - y0 * x, x0 * x + y0 * y) % math.tau
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """Basis of a linear program, which is the best for its direction: its shares are ``gain @ bounds of the rows``."""
+
+    direction: Float[np.ndarray, "2"]
+    gain: Float[np.ndarray, "columns rows"]
+
+
 class _Search:
     """Linear programs of one set of contacts, solved one after the other from the last basis.
 
@@ -202,6 +234,8 @@ class _Search:
         self._price = max(_FORCE_PRICE_M, drift_m) * np.linalg.norm(edges, axis=1)
         self._columns = np.arange(len(edges), dtype=np.int32)
         self._caps = contacts.caps / weight
+        self._rows = np.concatenate([self._balance, np.kron(np.eye(len(self._caps)), np.ones(N_PYRAMID_EDGES + 1))])
+        self._bases: list[_Basis] = []
 
     @cached_property
     def _solver(self) -> highspy.Highs:
@@ -254,22 +288,28 @@ class _Search:
         edge faces is tried.
         """
         self._set_wrench(wrench)
-        directions = [np.array([np.cos(t), np.sin(t)]) for t in 0.1 + np.arange(3) * 2.0 * np.pi / 3.0]
-        places = [(*self._find_farthest(direction, index), direction) for direction in directions]
-        size = max(float(np.linalg.norm(p[0] - q[0])) for p, q in pairwise(places))
+        places = self._recall_places()
+        for direction in _FIRST_DIRECTIONS:
+            if not any(np.array_equal(direction, known.direction) for known in places):
+                places.append(self._find_farthest(direction, index))
+        places.sort(key=lambda place: place.turn)
+        at = np.array([place.at for place in places])
+        size = float(np.linalg.norm(np.diff(at, axis=0), axis=1).max())
         resolution = max(_RESOLUTION_M, _RELATIVE_RESOLUTION * size)
         done = 0
         while done < len(places):
-            (first, _, d1), (second, _, d2) = places[done], places[(done + 1) % len(places)]
-            if _room_beyond(first, d1, second, d2) > resolution:
-                edge = second - first
+            first, second = places[done], places[(done + 1) % len(places)]
+            if _room_beyond(first, second) > resolution:
+                edge = second.at - first.at
                 facing = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
-                place, forces = self._find_farthest(facing, index)
-                if facing @ (place - first) > resolution:
-                    places.insert(done + 1, (place, forces, facing))
+                farthest = self._find_farthest(facing, index)
+                if facing @ (farthest.at - first.at) > resolution:
+                    places.insert(done + 1, farthest)
                     continue
             done += 1
-        return np.array([p[0] for p in places]) + self._origin[:2] + self._offset, np.array([p[1] for p in places])
+        shares = np.array([place.shares for place in places]).reshape(len(places), *self._edges.shape[:2])
+        forces = self.weight * np.einsum("vck,cki->vci", shares, self._edges)
+        return np.array([place.at for place in places]) + self._origin[:2] + self._offset, forces
 
     def _set_wrench(self, wrench: Float[np.ndarray, "6"]) -> None:
         force = wrench[:3] / self.weight
@@ -279,10 +319,23 @@ class _Search:
         for row, value in enumerate(self._target):
             self._solver.changeRowBounds(row, value, value)
 
-    def _find_farthest(
-        self, direction: Float[np.ndarray, "2"], index: int
-    ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "C 3"]]:
-        """Return the farthest place in a direction, without the wrench's own offset, and the forces that hold there."""
+    def _recall_places(self) -> list[_Place]:
+        """Return the farthest places in the directions of earlier programs whose bases hold the wrench as well.
+
+        A basis that is the best for a direction is so for every wrench under which its forces are none negative.
+        """
+        if not self._bases:
+            return []
+        shares = np.stack([basis.gain for basis in self._bases]) @ np.concatenate([self._target, self._caps])
+        most = shares.reshape(len(shares), len(self._caps), -1).sum(axis=2)
+        holds = (shares.min(axis=1) >= -_SHARE_TOLERANCE) & (most <= self._caps + _SHARE_TOLERANCE).all(axis=1)
+        shares = np.maximum(shares, 0.0)
+        holds &= np.abs(shares @ self._balance.T - self._target).max(axis=1) <= _BALANCE_TOLERANCE
+        at = shares @ self._place.T
+        return [_Place(at[k], shares[k], self._bases[k].direction) for k in np.flatnonzero(holds)]
+
+    def _find_farthest(self, direction: Float[np.ndarray, "2"], index: int) -> _Place:
+        """Return the farthest place in a direction, without the wrench's own offset."""
         cost = self._price - direction @ self._place
         self._solver.changeColsCost(len(cost), self._columns, cost)
         status = _run(self._solver)
@@ -299,8 +352,8 @@ class _Search:
             )
         if shares is None:
             raise RuntimeError(f"linear program of the static region ended with {status.name} under wrench {index}")
-        forces = self.weight * np.einsum("ck,cki->ci", shares.reshape(self._edges.shape[:2]), self._edges)
-        return self._place @ shares, forces
+        self._keep_basis(direction)
+        return _Place(self._place @ shares, shares, direction)
 
     def _read_shares(self, status: highspy.HighsModelStatus) -> Float[np.ndarray, "columns"] | None:
         """Return the solver's solution, none negative, or None where there is no solution that balances."""
@@ -308,6 +361,23 @@ class _Search:
             return None
         shares = np.maximum(np.array(self._solver.getSolution().col_value), 0.0)
         return shares if np.abs(self._balance @ shares - self._target).max() <= _BALANCE_TOLERANCE else None
+
+    def _keep_basis(self, direction: Float[np.ndarray, "2"]) -> None:
+        """Keep the basis of the last solution, unless it is singular."""
+        status, basic = self._solver.getBasicVariables()
+        if status != highspy.HighsStatus.kOk:
+            return
+        basic = np.asarray(basic)
+        columns = basic[basic >= 0]
+        is_bound = np.ones(len(self._rows), dtype=bool)
+        is_bound[-1 - basic[basic < 0]] = False
+        rows = np.flatnonzero(is_bound)
+        gain = np.zeros((len(self._columns), len(self._rows)))
+        try:
+            gain[np.ix_(columns, rows)] = np.linalg.inv(self._rows[np.ix_(rows, columns)])
+        except np.linalg.LinAlgError:
+            return
+        self._bases.append(_Basis(direction, gain))
 
 
 def _make_solver(balance: Float[np.ndarray, "4 columns"], caps: Float[np.ndarray, "C"]) -> highspy.Highs:
@@ -353,35 +423,31 @@ def _run(solver: highspy.Highs) -> highspy.HighsModelStatus:
     return status
 
 
-def _room_beyond(
-    first: Float[np.ndarray, "2"],
-    d1: Float[np.ndarray, "2"],
-    second: Float[np.ndarray, "2"],
-    d2: Float[np.ndarray, "2"],
-) -> float:
-    """Return how far a region may reach beyond the edge of two places that are farthest in directions d1 and d2 [m]."""
-    edge = second - first
-    length = float(np.linalg.norm(edge))
+def _room_beyond(first: _Place, second: _Place) -> float:
+    """Return how far a region may reach beyond the edge of two places that are farthest in their directions [m]."""
+    (x1, y1), (x2, y2) = first.direction.tolist(), second.direction.tolist()
+    along, across = (second.at - first.at).tolist()
+    length = math.hypot(along, across)
     if length < _RESOLUTION_M:
         return 0.0
-    turn = d1[0] * d2[1] - d1[1] * d2[0]
+    turn = x1 * y2 - y1 * x2
     if turn < 1e-9:
-        return 0.0 if d1 @ d2 > 0.0 else np.inf
+        return 0.0 if x1 * x2 + y1 * y2 > 0.0 else math.inf
     # the tangents meet at first + u: d1 . u = 0 and d2 . u = d2 . edge
-    u = float(d2 @ edge) / turn * np.array([-d1[1], d1[0]])
-    return float(u[0] * edge[1] - u[1] * edge[0]) / length
+    scale = (x2 * along + y2 * across) / turn
+    return scale * (-y1 * across - x1 * along) / length
 
 
 def _simplify(vertices: Float[np.ndarray, "V 2"]) -> list[int]:
     """Return the vertices to keep so that no edge is short and no corner flat; the polygon only gets smaller."""
-    kept = list(range(len(vertices)))
+    points = vertices.tolist()
+    kept = list(range(len(points)))
     i = 0
     while i < len(kept) and len(kept) > 1:
-        before, at, after = (vertices[kept[k % len(kept)]] for k in (i - 1, i, i + 1))
-        chord = after - before
-        length = float(np.linalg.norm(chord))
-        is_short = float(np.linalg.norm(at - before)) < _RESOLUTION_M
-        is_flat = len(kept) > 2 and float(_turn(at - before, chord)) < _FLAT_M * length
+        (x0, y0), (x1, y1), (x2, y2) = (points[kept[k % len(kept)]] for k in (i - 1, i, i + 1))
+        turn = (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0)
+        is_short = math.hypot(x1 - x0, y1 - y0) < _RESOLUTION_M
+        is_flat = len(kept) > 2 and turn < _FLAT_M * math.hypot(x2 - x0, y2 - y0)
         if is_short or is_flat:
             del kept[i]
             i = max(i - 1, 0)

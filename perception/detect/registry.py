@@ -12,30 +12,21 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from importlib import import_module
 from importlib.metadata import entry_points
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.stopping import Stopped, poll
-from perception.detect.beam.detector import detect_beam
-from perception.detect.door.detector import detect_door
-from perception.detect.drill.detector import detect_drill
 from perception.detect.engine.click import fit_at
 from perception.detect.engine.kinds import CLICKED
 from perception.detect.engine.surroundings import Surroundings
 from perception.detect.engine.verdict import rate, rate_fit
-from perception.detect.hose.detector import detect_hose
-from perception.detect.lever import detect_lever
-from perception.detect.panel.detector import detect_panel
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.detector import Detector
 from perception.detect.shared.faces import FacesInSight
 from perception.detect.shared.overlap import offer_alternatives, settle_overlaps
-from perception.detect.valve.detector import detect_turnable, detect_valve
-from perception.detect.valve.wheel import detect_wheels
-from perception.detect.vehicle.opening import detect_opening
-from perception.detect.vehicle.seat import detect_seat
 from perception.errors import PerceptionError
 from perception.sightlines import SightIndex, sight_index
 from perception.view import View, widen
@@ -67,22 +58,31 @@ def _find_added() -> Iterator[tuple[str, Detector]]:
         yield entry.name, detector
 
 
+def _find_by(place: str, *seen: object, **options: object) -> list[Detection]:
+    """Find objects by a detector ``MODULE:FUNCTION``, which is imported when it is needed."""
+    module, name = place.split(":")
+    hits: list[Detection] = getattr(import_module(f"perception.detect.{module}"), name)(*seen, **options)
+    return hits
+
+
+_FIND_DOOR = partial(_find_by, "door.detector:detect_door")
+
 SHIPPED: Mapping[str, Detector] = {
-    "valve": Detector(detect_valve, needs_index=True),
-    "door": Detector(detect_door),
-    "drill": Detector(detect_drill, needs_index=True),
-    "beam": Detector(detect_beam, needs_index=True),
-    "hose": Detector(detect_hose, needs_index=True),
-    "lever": Detector(detect_lever, needs_faces=True),
-    "panel": Detector(detect_panel, needs_faces=True),
-    "seat": Detector(detect_seat),
-    "opening": Detector(detect_opening),
+    "valve": Detector(partial(_find_by, "valve.detector:detect_valve"), needs_index=True),
+    "door": Detector(_FIND_DOOR),
+    "drill": Detector(partial(_find_by, "drill.detector:detect_drill"), needs_index=True),
+    "beam": Detector(partial(_find_by, "beam.detector:detect_beam"), needs_index=True),
+    "hose": Detector(partial(_find_by, "hose.detector:detect_hose"), needs_index=True),
+    "lever": Detector(partial(_find_by, "lever:detect_lever"), needs_faces=True),
+    "panel": Detector(partial(_find_by, "panel.detector:detect_panel"), needs_faces=True),
+    "seat": Detector(partial(_find_by, "vehicle.seat:detect_seat")),
+    "opening": Detector(partial(_find_by, "vehicle.opening:detect_opening")),
     # Doors whose hinges are on a side that a person states.
-    "door_left": Detector(partial(detect_door, hinge_on="left"), offered_as="door"),
-    "door_right": Detector(partial(detect_door, hinge_on="right"), offered_as="door"),
+    "door_left": Detector(partial(_FIND_DOOR, hinge_on="left"), offered_as="door"),
+    "door_right": Detector(partial(_FIND_DOOR, hinge_on="right"), offered_as="door"),
     # Valves that a plan can turn: wheels and levers; wheels alone.
-    "turnable": Detector(detect_turnable, offered_as="valve"),
-    "wheel": Detector(detect_wheels, offered_as="valve"),
+    "turnable": Detector(partial(_find_by, "valve.detector:detect_turnable"), offered_as="valve"),
+    "wheel": Detector(partial(_find_by, "valve.wheel:detect_wheels"), offered_as="valve"),
 }
 DETECTORS: Mapping[str, Detector] = {**SHIPPED, **dict(_find_added())}
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.offered_as is None)

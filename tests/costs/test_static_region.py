@@ -117,6 +117,26 @@ def test_farthest_places_agree_with_another_solver_and_lie_inside_those_of_exact
 
 
 @given(seed=st.integers(0, 10_000))
+@settings(max_examples=8)
+def test_several_wrenches_together_are_held_where_each_alone_is(seed):
+    rng = np.random.default_rng(seed)
+    contacts, mass = random_stance(rng)
+    first = random_load(rng, mass)
+    wrenches = [first, *(first * rng.uniform(0.5, 1.0, 6) for _ in range(3))]
+    try:
+        together = find_static_region(contacts, mass, np.array(wrenches))
+        alone = [find_static_region(contacts, mass, wrench[None]) for wrench in wrenches]
+    except StaticRegionError:
+        return
+    size = np.ptp(alone[0].vertices, axis=0).max()
+    slack = 3e-4 + 1e-3 * size
+    points = together.vertices.mean(axis=0) + rng.uniform(-size, size, (200, 2))
+    of_each = np.min([region.margin(points) for region in alone], axis=0)
+    assert (together.margin(points)[of_each > slack] > 0.0).all()
+    assert (of_each[together.margin(points) > slack] > 0.0).all()
+
+
+@given(seed=st.integers(0, 10_000))
 @settings(max_examples=30)
 def test_every_place_inside_is_held_under_every_mixture_of_the_wrenches(seed):
     rng = np.random.default_rng(seed)
