@@ -16,7 +16,7 @@ from service.body.monitor import Monitor
 from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import BASE_SPEED, WholeBody
 from service.demands.neighbours import make_neighbour_allowances
-from service.motion.slowing import slow_to_speeds
+from service.motion.slowing import slow_to_speeds, slow_until_grips_hold
 from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import Pace, TimingSettings, keep_durations, slow_until_zmp_inside, time_curve
 from service.start.standing import FEET_GROUP
@@ -97,7 +97,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     ]
     weak = replace(motion, law=law, robot=replace(body.robot, effort=timing.torque_share * body.robot.effort))
     law = slow_until_zmp_inside(weak, reserve_m=reserve, settled=settled)
-    law = keep_durations(slow_to_speeds(motion, law, speeds), paces)
+    paced = [(pace.first, pace.last) for pace in paces if pace.limits]
+    law = slow_until_grips_hold(motion, slow_to_speeds(motion, law, speeds), [*settled, *paced])
+    law = keep_durations(law, paces)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf

@@ -1,8 +1,9 @@
-"""Slower time laws of the same curve: within the limits of speed and acceleration, and with a limited jerk."""
+"""Slower time laws of the same curve: within limits of speed and acceleration, with a limited jerk, as grips hold."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,15 @@ from jaxtyping import Float
 from costs.curve import Curve, TimeLaw
 from costs.robot.model import RobotModel
 from costs.stopping import poll
-from service.verify import FrameSpeed, Motion, measure_jerks, measure_timed_peaks, trace_frame
+from service.verify import (
+    FrameSpeed,
+    Motion,
+    VerifySettings,
+    find_grip_slowdown,
+    measure_jerks,
+    measure_timed_peaks,
+    trace_frame,
+)
 
 REST = 1e-12  # speed along the path that counts as none [1/s]
 # Widths of the filter that are tried, as shares of a stretch's duration.
@@ -20,6 +29,7 @@ CELL_S = 1e-2  # longest cell of a filtered law [s]
 CELLS = 12  # of the filter's width, at least
 SAMPLES_PER_CELL = 4  # of a law, at which speeds of frames are measured
 ROUNDS = 8  # of slowing a stretch, which lowers its jerk by the third power but for steps of the curve's bend
+GRIP_SPARE = 1.02  # the same for what grips hold
 SPARE = 1.002  # more than the estimate asks
 JERK_SHARE = 0.95  # of the limits that is used: where the windows of the measure begin changes with the duration
 
@@ -115,6 +125,24 @@ def _slow_across_rests(
             first = s[s <= law.path[b]].max(initial=law.path[a])  # the last window reaches into the next stretch
         law = stretch_law(law, factor)
     return law
+
+
+def slow_until_grips_hold(motion: Motion, law: TimeLaw, kept: Container[tuple[float, float]] = ()) -> TimeLaw:
+    """Slow the phases whose grips would let an object slip as it moves, as far as the grips hold its weight alone.
+
+    Args:
+        motion: with phases and objects; its own law does not count.
+        law: that is slowed; phases begin and end at its rests.
+        kept: path parameters of the ends of phases whose speed is given.
+    """
+    factor = np.ones(len(law.times) - 1)
+    for phase in motion.phases:
+        if (phase.first, phase.last) in kept:
+            continue
+        slower = find_grip_slowdown(replace(motion, law=law), phase, VerifySettings())
+        if slower > 1.0:
+            factor[(law.path[:-1] >= phase.first) & (law.path[1:] <= phase.last)] = GRIP_SPARE * slower
+    return stretch_law(law, factor) if np.any(factor > 1.0) else law
 
 
 def list_stretches(law: TimeLaw) -> Iterator[tuple[int, int]]:

@@ -24,6 +24,7 @@ from service.verify.carrying.carriers import (
 )
 from service.verify.carrying.checks import (
     REST_MARGIN_M,
+    find_grip_slowdown,
 )
 from service.verify.carrying.grasp import (
     GRAVITY,
@@ -274,6 +275,7 @@ __all__ = [
     "describe_gap",
     "describe_inside",
     "evaluate_profile",
+    "find_grip_slowdown",
     "find_ground_gaps",
     "find_jamming_angle",
     "find_limited_joints",

@@ -19,6 +19,7 @@ from service.request.file import parse_request
 from service.result.output import write_result
 from service.simulation.run import execute_folder
 from service.simulation.verdict import judge
+from service.verify import find_times, place_frames, split_motion
 
 
 @pytest.fixture(scope="module", name="urdf")
@@ -42,6 +43,32 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
     assert checks["keep.in.peg.world"]["limit"] == pytest.approx(0.002)  # chamfer and half of the clearance
     assert checks["keep.in.peg.world.rotation"]["limit"] == pytest.approx(0.002 / (0.6 * 0.042))
     assert {"rests.take: close.peg", "grip.across.peg", "rests.let go: open.peg"} <= checks.keys()
+
+
+def test_a_plan_goes_on_with_what_the_hand_holds(urdf: Path) -> None:
+    request = peg_request(urdf)
+    steps = request["task"]["steps"]
+    request["task"]["steps"] = [*steps[:2], {"wait": "until it is clear"}, *steps[2:]]
+    before = plan(parse_request(request)).motion
+    assert before is not None
+    last, q = split_motion(before)[-1], before.curve.positions[-1]
+    pose = place_frames(last.robot, q, ["peg"])["peg"]
+    request["start"] = {"joints": dict(zip(before.robot.joint_names, q.tolist(), strict=True))}
+    request["scene"]["objects"][0] |= {"position": pose[:3, 3].tolist(), "quaternion_wxyz": [1, 0, 0, 0]}
+    up = {"name": "up", "screw": {"frame": "peg", "translation_m": 0.02, "rotation_deg": 90, "rate_deg_s": 30}}
+    # 7 N hold its weight, and not what the fastest motion upwards adds.
+    gently = {"name": "gently", "move": {"frame": "peg", "by": {"translation": [0, 0, 0.05]}, "along": "line"}}
+    request["task"]["steps"] = [{"hold": {"object": "peg", "hand": "right", "force_n": 7}}, gently, up]
+    after = plan(parse_request(request))
+    assert after.verdict.value == "CERTIFIED", after.explanation
+    assert after.motion is not None
+    assert after.certificate is not None
+    assert [carrier.link for carrier in after.motion.phases[0].carriers] == ["hand"]
+    assert after.motion.law is not None
+    borders = [after.motion.phases[1].first, after.motion.phases[1].last]
+    assert 3.0 <= float(np.diff(find_times(after.motion.law, np.array(borders)))[0]) < 4.0  # a quarter turn at 30 deg/s
+    swung = next(check for check in after.certificate.checks if check.name == "swung.gently.peg")
+    assert 0.9 < swung.value <= 1.0
 
 
 def test_the_peg_is_in_the_other_hole_in_physics(folder: Path) -> None:
@@ -109,6 +136,11 @@ REFUSED = {
     "taken twice": ([{"grasp": {"object": "peg"}}, {"grasp": {"object": "peg"}}], "'peg' is in a hand already"),
     "unknown": ([{"grasp": {"object": "cup"}}], "unknown object 'cup'; the scene has peg"),
     "no such hand": ([{"grasp": {"object": "peg", "hand": "left"}}], "left needs a hand with two fingers that slide"),
+    "held late": (
+        [{"move": {"posture": "stand"}}, {"hold": {"object": "peg", "hand": "right"}}],
+        "task.steps[1].hold: comes after another step; expected first",
+    ),
+    "held alone": ([{"hold": {"object": "peg", "hand": "right"}}], "nothing moves; expected a step after 'hold'"),
     "two hands": ([{"grasp": {"object": "peg", "hand": "both"}}], "both needs two hands with two fingers that slide"),
     "no such grasp": ([{"grasp": {"object": "peg", "grasp": 3}}], "peg has no grasps, numbered from 0"),
 }  # fmt: skip

@@ -295,9 +295,15 @@ def _make_screw(
         centre = pose[:3, 3] if screw.centre is None else np.asarray(screw.centre, dtype=float)
         angle = float(np.deg2rad(screw.rotation_deg))
         guide = Guide.screw(pose[:3, 3], pose[:3, :3], centre, axis, angle, screw.translation_m)
-        led.append(Led(frame, guide, **_read_free(screw.free_axis), **_read_limits(screw)))  # type: ignore[arg-type]
+        limits = _read_limits(screw)
+        if screw.rate_deg_s is not None and guide.has_length:
+            limits["speed_m_s"] = guide.length * screw.rate_deg_s / abs(screw.rotation_deg)
+        led.append(Led(frame, guide, **_read_free(screw.free_axis), **limits))  # type: ignore[arg-type]
     keeping = _keep_others(robot, company, q, frames, screw.other_hand)
-    return StepPhase(name, tuple(led), duration_s=screw.duration_s, **keeping)  # type: ignore[arg-type]
+    duration = screw.duration_s
+    if screw.rate_deg_s is not None and not any(own.guide.has_length for own in led):
+        duration = abs(screw.rotation_deg) / screw.rate_deg_s
+    return StepPhase(name, tuple(led), duration_s=duration, **keeping)  # type: ignore[arg-type]
 
 
 def _make_touch(

@@ -128,6 +128,9 @@ class _Record:
             if named.index in self.demand.parts.parts:
                 self._read_part(named, values)
                 values = self.demand.parts.advance(named.index, values)
+            elif named.step.hold is not None:
+                field_name = f"task.steps[{named.index}].hold"
+                self._holding = self._holding.begin_with(named.step.hold, field_name, self._at)
             elif named.step.changes_contacts:
                 self._read_walk(named)
             else:

@@ -19,6 +19,7 @@ from service.demands.phase import TaskPhase
 from service.errors import RequestError
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
+from service.request.tasks.step_objects import HoldStep
 from service.request.tasks.steps import StepsSection
 from service.start.resting import SUPPORT_DEPTH_M
 from service.verify import Carrier, Grip, RelativePoseTarget, measure_rest_margin, place_frames
@@ -121,9 +122,9 @@ class Holding:
         """
         items = {}
         for k, step in enumerate(section.steps):
-            if step.grasp is not None:
-                found = find_object(request, step.grasp.object, f"task.steps[{k}].grasp.object")
-                items[step.grasp.object] = Item(*found)
+            if step.taken is not None:
+                found = find_object(request, step.taken.object, f"task.steps[{k}].{step.kind}.object")
+                items[step.taken.object] = Item(*found)
         resting = {name: item.body.start for name, item in items.items()}
         return Holding(robot, scene, items, request.options.hand_friction[0], resting)
 
@@ -179,6 +180,15 @@ class Holding:
         resting = {key: pose for key, pose in self.resting.items() if key != name}
         fresh = {name: self.find_rest(name, world)[1]}
         return replace(self, resting=resting, held={**self.held, name: hold}, fresh=fresh)
+
+    def begin_with(self, step: HoldStep, field_name: str, q: Float[np.ndarray, "n"]) -> Holding:
+        """Return the objects with one in hands at the start.
+
+        Raises:
+            RequestError: the robot has no such hand.
+        """
+        held = self.take(step.object, choose_grippers(self.robot, step.hand, f"{field_name}.hand"), step.force_n, q)
+        return replace(held, fresh={**self.fresh, **held.fresh})
 
     def put(self, name: str, q: Float[np.ndarray, "n"]) -> Holding:
         """Return the objects from a release on that begins at a configuration."""
@@ -246,10 +256,14 @@ def list_sequence_problems(section: StepsSection) -> Iterator[str]:
     """Yield a line per step that needs an object which no hand holds then, or a hand that is not free."""
     held: dict[str, str] = {}
     taken = set(section.carried)
+    if section.steps and all(step.hold is not None for step in section.steps):
+        yield "task.steps: nothing moves; expected a step after 'hold'"
     for k, step in enumerate(section.steps):
         field_name = f"task.steps[{k}].{step.kind}"
-        if step.grasp is not None:
-            name, hand = step.grasp.object, step.grasp.hand
+        if step.hold is not None and any(before.hold is None for before in section.steps[:k]):
+            yield f"{field_name}: comes after another step; expected first, since it says what hands hold at the start"
+        if step.taken is not None:
+            name, hand = step.taken.object, step.taken.hand
             if name in held:
                 yield f"{field_name}.object: '{name}' is in a hand already; release it first"
                 continue

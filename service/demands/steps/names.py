@@ -42,6 +42,8 @@ def list_step_problems(start: Holding, step: StepRequest, field: str, request: P
         )
     try:
         compile_step(start, step, field)
+        if step.hold is not None:
+            choose_grippers(robot, step.hold.hand, "hold.hand")
         if step.grasp is not None:
             choose_grippers(robot, step.grasp.hand, "grasp.hand")
             yield from _list_grasp_problems(start, step.grasp, field)

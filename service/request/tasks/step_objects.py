@@ -37,6 +37,21 @@ class GraspStep(Section):
 
 
 @dataclass(config=SECTION)
+class HoldStep(Section):
+    """An object that a hand holds as the list begins, where the scene has it; nothing moves.
+
+    Attributes:
+        object: name of one of ``scene.objects``.
+        hand: that holds it.
+        force_n: with which each finger presses it [N].
+    """
+
+    object: Name
+    hand: Literal["left", "right", "both"]
+    force_n: Annotated[Number, Field(gt=0.0, le=2000.0)] = 60.0
+
+
+@dataclass(config=SECTION)
 class ReleaseStep(Section):
     """The fingers open, and the hands leave an object where it rests.
 

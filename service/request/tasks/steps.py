@@ -31,7 +31,7 @@ from service.request.tasks.contacts import ContactsRequest
 from service.request.tasks.kind import MovedNames, TaskSection
 from service.request.tasks.mechanism import MECHANISM, MechanismRequest
 from service.request.tasks.reach import PoseGoalRequest
-from service.request.tasks.step_objects import FitStep, GraspStep, ReleaseStep
+from service.request.tasks.step_objects import FitStep, GraspStep, HoldStep, ReleaseStep
 
 MAX_STEPS, MAX_CORNERS = 64, 200
 LONGEST_M = 3.0  # of a single step of a hand
@@ -175,6 +175,7 @@ class ScrewStep(Section):
         axes: whether ``axis`` (not ``centre``) is in the world's axes or the frame's.
         translation_m: along the axis [m].
         rotation_deg: about it [deg].
+        rate_deg_s: at which it turns, but for ramps at both ends where the frame's origin moves [deg/s].
         hand, frame, free_axis, other_hand, speed_m_s, duration_s, tolerance_m, rotation_tolerance_deg: as in ``move``.
     """
 
@@ -183,6 +184,7 @@ class ScrewStep(Section):
     axes: Axes = "world"
     translation_m: Shift = 0.0
     rotation_deg: Degrees = 0.0
+    rate_deg_s: Annotated[Number, Field(gt=0.0, le=360.0)] | None = None
     hand: HandChoice | None = None
     frame: Name | None = None
     free_axis: FreeAxis = "none"
@@ -200,6 +202,13 @@ class ScrewStep(Section):
             raise PydanticCustomError("screw", "expected the hand (left, right, both) or the frame that moves")
         if not self.translation_m and not self.rotation_deg:
             raise PydanticCustomError("screw", "neither translates nor rotates; expected one of them")
+        if self.rate_deg_s is not None and not self.rotation_deg:
+            raise PydanticCustomError(
+                "pace", "rate_deg_s is given, and rotation_deg is 0; expected speed_m_s or a turn"
+            )
+        if self.rate_deg_s is not None and (self.speed_m_s is not None or self.duration_s is not None):
+            words = "rate_deg_s is given beside speed_m_s or duration_s; expected one of them"
+            raise PydanticCustomError("pace", words)
 
 
 @dataclass(config=SECTION)
@@ -408,6 +417,7 @@ class StepRequest(Section):
     press: PressStep | None = None
     mechanism: MechanismRequest | None = None
     body: BodyStep | None = None
+    hold: HoldStep | None = None
     grasp: GraspStep | None = None
     release: ReleaseStep | None = None
     insert: FitStep | None = None
@@ -432,6 +442,11 @@ class StepRequest(Section):
         return self.walk is not None or self.contacts is not None
 
     @property
+    def taken(self) -> GraspStep | HoldStep | None:
+        """What a hand takes, or has taken."""
+        return self.grasp or self.hold
+
+    @property
     def fit(self) -> FitStep | None:
         """What goes into a hole or out of it."""
         return self.insert or self.withdraw
@@ -445,6 +460,7 @@ STEP_KINDS = (
     "press",
     "mechanism",
     "body",
+    "hold",
     "grasp",
     "release",
     "insert",
@@ -480,8 +496,8 @@ class StepsSection(TaskSection):
 
     @property
     def carried(self) -> tuple[str, ...]:
-        """The objects that a step takes."""
-        return tuple(dict.fromkeys(step.grasp.object for step in self.steps if step.grasp is not None))
+        """The objects that a step takes, or holds from the beginning."""
+        return tuple(dict.fromkeys(step.taken.object for step in self.steps if step.taken is not None))
 
     @property
     def moved_names(self) -> MovedNames | None:

@@ -47,7 +47,7 @@ def plan_steps(section: StepsSection, setup: PlanSetup, plain: PhaseSolver) -> I
     start = Holding.of(section, setup.request, setup.robot, setup.scene)
     demand, extent = StepsDemand(section, start), Extent.of(section)
     notes = tuple(extent.list_notes())
-    if not extent.done:
+    if all(named.step.hold is not None for named in extent.done):
         words = f"nothing comes before step '{extent.rest[0].name}'; plan the steps after it"
         yield TaskPlan(plain.body, (), (words,), notes=notes, objects=demand.objects)
         return
@@ -146,7 +146,7 @@ class _Walk:
 
     def _find_release(self, index: int) -> int:
         """Return the index of the step that lets go of what a step takes; of the step itself where it takes nothing."""
-        grasp = self._steps[index].step.grasp
+        grasp = self._steps[index].step.taken
         if grasp is None:
             return index
         for k in range(index + 1, len(self._steps)):
@@ -160,6 +160,10 @@ class _Walk:
         named = self._steps[index]
         if named.index in self._demand.parts.parts:
             yield self._push(index, state)
+        elif named.step.hold is not None:
+            field_name = f"task.steps[{named.index}].hold"
+            holding = state.holding.begin_with(named.step.hold, field_name, state.at)
+            yield _Done([], (), None, index, replace(state, holding=holding))
         elif named.step.changes_contacts:
             yield self._walk(index, state)
         elif named.step.grasp is not None:
@@ -315,9 +319,10 @@ class _Walk:
         holding = self._demand.start
         names: dict[str, None] = {}
         for index, named in enumerate(self._steps):
-            grasp = named.step.grasp
-            if grasp is None:
+            taken = named.step.taken
+            if taken is None:
                 continue
+            grasp = named.step.grasp or GraspStep(taken.object)
             pick, _ = self._find_places(index, grasp, holding, self._solver.body.nominal)
             for pose, _ in (*pick.places, (pick.item.body.start, "")):
                 corners = pick.item.body.vertices @ pose[:3, :3].T + pose[:3, 3]

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from costs.robot.carried import MovableObject
 from service.verify.carrying.carriers import Carrier
@@ -13,7 +14,7 @@ from service.verify.carrying.grasp import GRAVITY, GripBalance, Held
 from service.verify.carrying.resting import measure_rest_margin
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.dynamics import list_sample_times
-from service.verify.motion import Phase, VerifySettings
+from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.phase_proof import PhaseProof
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.timeline import find_time
@@ -21,6 +22,7 @@ from service.verify.timeline import find_time
 PAD_GAP_M = 2e-3  # between a pad and what it holds
 STILL_M = 1.5e-3  # by which a finger may move against what it holds
 REST_MARGIN_M = 5e-3  # of the centre of mass of a resting object, to any side
+_SAME_WRENCH = 0.05  # wrenches that differ by less need nearly the same grip [N, N m]
 _RESOLUTION_M, _SHARE_RESOLUTION = 2e-4, 0.02
 
 
@@ -131,17 +133,9 @@ def _check_swing(
     prepared: PreparedMotion, phase: Phase, held: Held, balance: GripBalance, grip: float, settings: VerifySettings
 ) -> Check:
     """Check at samples that the grips also hold what accelerates the object."""
-    motion, law = prepared.motion, prepared.motion.law
-    assert law is not None
-    times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
-    s, speed, gain = law.at(times)
-    slope, bend = motion.curve(s, 1), motion.curve(s, 2)
-    states = zip(
-        motion.curve(s), slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True
-    )
-    wrenches = np.array([held.find_moving_wrench(*state) for state in states])
+    times, s, wrenches, _ = _list_wrenches(prepared, phase, held, settings)
     # Wrenches that differ little need nearly the same: one of each kind.
-    _, chosen = np.unique(np.round(wrenches / 0.05), axis=0, return_index=True)
+    _, chosen = np.unique(np.round(wrenches / _SAME_WRENCH), axis=0, return_index=True)
     shares = np.array([balance.find_share(wrenches[k]) for k in chosen])
     worst = int(shares.argmax())
     value, row = float(shares[worst]), int(chosen[worst])
@@ -152,6 +146,50 @@ def _check_swing(
         text = f"the grip lets {item.name} slip as it moves during {phase.name}: {_describe_need(value, grip)}"
     value = min(value, 1e3)
     return Check(f"swung.{phase.name}.{item.name}", value <= 1.0, value, 1.0, "1", text, where, Basis.SAMPLES)
+
+
+def find_grip_slowdown(motion: Motion, phase: Phase, settings: VerifySettings) -> float:
+    """Return by which factor a phase would have to take longer for its grips to hold what accelerates their objects.
+
+    It is 1 where they hold it, and where they do not hold the weight alone.  Slower by a factor ``c``, a motion needs a
+    wrench between that at rest and the present one, ``1 / c^2`` of the way; the share of the grips is convex on it.
+    """
+    carriers = [carrier for carrier in phase.carriers if carrier.link is not None]
+    if not carriers:
+        return 1.0
+    items = {item.name: item for item in motion.objects}
+    placed, factor = PreparedMotion(motion).in_phase(phase), 1.0
+    for carrier in carriers:
+        held = Held(placed, items[carrier.item], carrier)
+        pads = held.list_pads(phase.first)
+        if max(abs(pad.gap) for pad in pads) > PAD_GAP_M:
+            continue
+        balance = GripBalance(pads, held.centre)
+        _, _, moving, resting = _list_wrenches(placed, phase, held, settings)
+        _, chosen = np.unique(np.round(moving / _SAME_WRENCH), axis=0, return_index=True)
+        for k in chosen:
+            most = balance.find_share(moving[k])
+            if most <= 1.0:
+                continue
+            least = balance.find_share(resting[k])
+            if least < 1.0 and np.isfinite(most):
+                factor = max(factor, float(np.sqrt((most - least) / (1.0 - least))))
+    return factor
+
+
+def _list_wrenches(
+    prepared: PreparedMotion, phase: Phase, held: Held, settings: VerifySettings
+) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S 6"], Float[np.ndarray, "S 6"]]:
+    """Return times, path parameters, and the wrenches that an object demands as it moves and at rest, at samples."""
+    motion, law = prepared.motion, prepared.motion.law
+    assert law is not None
+    times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
+    s, speed, gain = law.at(times)
+    slope, bend, q = motion.curve(s, 1), motion.curve(s, 2), motion.curve(s)
+    states = zip(q, slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True)
+    moving = np.array([held.find_moving_wrench(*state) for state in states])
+    still = np.zeros(q.shape[1])
+    return times, s, moving, np.array([held.find_moving_wrench(each, still, still) for each in q])
 
 
 def _describe_need(share: float, grip: float) -> str:

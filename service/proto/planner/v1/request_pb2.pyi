@@ -621,7 +621,7 @@ class ObjectPlace(_message.Message):
     def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Step(_message.Message):
-    __slots__ = ("name", "move", "screw", "follow", "touch", "press", "mechanism", "body", "wait", "check", "look", "grasp", "release", "insert", "withdraw", "walk", "contacts")
+    __slots__ = ("name", "move", "screw", "follow", "touch", "press", "mechanism", "body", "wait", "check", "look", "grasp", "release", "insert", "withdraw", "walk", "contacts", "hold")
     NAME_FIELD_NUMBER: _ClassVar[int]
     MOVE_FIELD_NUMBER: _ClassVar[int]
     SCREW_FIELD_NUMBER: _ClassVar[int]
@@ -639,6 +639,7 @@ class Step(_message.Message):
     WITHDRAW_FIELD_NUMBER: _ClassVar[int]
     WALK_FIELD_NUMBER: _ClassVar[int]
     CONTACTS_FIELD_NUMBER: _ClassVar[int]
+    HOLD_FIELD_NUMBER: _ClassVar[int]
     name: str
     move: StepMove
     screw: Screw
@@ -656,7 +657,8 @@ class Step(_message.Message):
     withdraw: Fit
     walk: Walk
     contacts: Contacts
-    def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ..., grasp: _Optional[_Union[GraspStep, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., insert: _Optional[_Union[Fit, _Mapping]] = ..., withdraw: _Optional[_Union[Fit, _Mapping]] = ..., walk: _Optional[_Union[Walk, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ...) -> None: ...
+    hold: Hold
+    def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ..., grasp: _Optional[_Union[GraspStep, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., insert: _Optional[_Union[Fit, _Mapping]] = ..., withdraw: _Optional[_Union[Fit, _Mapping]] = ..., walk: _Optional[_Union[Walk, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., hold: _Optional[_Union[Hold, _Mapping]] = ...) -> None: ...
 
 class StepMove(_message.Message):
     __slots__ = ("joints", "posture", "poses", "by", "arc", "hand", "frame", "along", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
@@ -720,7 +722,7 @@ class Arc(_message.Message):
     def __init__(self, centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., angle_deg: _Optional[float] = ..., turns: bool = ...) -> None: ...
 
 class Screw(_message.Message):
-    __slots__ = ("axis", "centre", "axes", "translation_m", "rotation_deg", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
+    __slots__ = ("axis", "centre", "axes", "translation_m", "rotation_deg", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg", "rate_deg_s")
     AXIS_FIELD_NUMBER: _ClassVar[int]
     CENTRE_FIELD_NUMBER: _ClassVar[int]
     AXES_FIELD_NUMBER: _ClassVar[int]
@@ -734,6 +736,7 @@ class Screw(_message.Message):
     DURATION_S_FIELD_NUMBER: _ClassVar[int]
     TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    RATE_DEG_S_FIELD_NUMBER: _ClassVar[int]
     axis: _containers.RepeatedScalarFieldContainer[float]
     centre: _containers.RepeatedScalarFieldContainer[float]
     axes: StepAxes
@@ -747,7 +750,8 @@ class Screw(_message.Message):
     duration_s: float
     tolerance_m: float
     rotation_tolerance_deg: float
-    def __init__(self, axis: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axes: _Optional[_Union[StepAxes, str]] = ..., translation_m: _Optional[float] = ..., rotation_deg: _Optional[float] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+    rate_deg_s: float
+    def __init__(self, axis: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axes: _Optional[_Union[StepAxes, str]] = ..., translation_m: _Optional[float] = ..., rotation_deg: _Optional[float] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., rate_deg_s: _Optional[float] = ...) -> None: ...
 
 class Face(_message.Message):
     __slots__ = ("point", "normal", "pieces")
@@ -870,6 +874,16 @@ class GraspStep(_message.Message):
     opening_m: float
     approach_m: float
     def __init__(self, object: _Optional[str] = ..., hand: _Optional[_Union[CarryingHand, str]] = ..., grasp: _Optional[int] = ..., force_n: _Optional[float] = ..., opening_m: _Optional[float] = ..., approach_m: _Optional[float] = ...) -> None: ...
+
+class Hold(_message.Message):
+    __slots__ = ("object", "hand", "force_n")
+    OBJECT_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
+    FORCE_N_FIELD_NUMBER: _ClassVar[int]
+    object: str
+    hand: StepHand
+    force_n: float
+    def __init__(self, object: _Optional[str] = ..., hand: _Optional[_Union[StepHand, str]] = ..., force_n: _Optional[float] = ...) -> None: ...
 
 class Release(_message.Message):
     __slots__ = ("object", "opening_m", "retreat_m")
