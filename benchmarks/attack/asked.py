@@ -42,6 +42,7 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     "robot.name": "the verdict says that it rests on the robot in the folder",
     "robot.urdf otherwise": "the same",
     "robot.srdf": "the same",
+    "scene.cloud otherwise": "the verdict says that it rests on the recorded scene",
     "scene.apply_viewpoint": "of clouds",
     "scene.message": "of clouds",
     "options.time_limit_s": "effort of the planner",
@@ -61,6 +62,8 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     "peg: robot.hands.right.peg_radius_m": "a hand without a peg",
     "carried: robot.hands.right.peg_radius_m": "the same",
     "lever: task.valve.spoke_width_m": "of wheels",
+    "door: task.door.press_m": "of push bars; this door has a lever",
+    "door: task.door.push_bar_n": "the same",
 }
 LESS_ENDS = ("tolerance_m larger", "tolerance_deg larger", "pieces with its last twice")
 SECTIONS = ("robot", "start", "goal", "keep", "attached", "scene", "task", "options")

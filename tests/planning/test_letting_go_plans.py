@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from given_doors import door_request
 from given_mechanisms import request_for
@@ -39,10 +40,21 @@ def hose_request(slide_n: float, **more: Any) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def test_a_hand_leaves_a_bar_on_an_easy_slide_straight_before_it_goes_away() -> None:
+def test_a_hand_sets_on_a_bar_on_an_easy_slide_and_leaves_it_straight() -> None:
     result = plan(parse_request(hose_request(3.0)))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    assert [phase.name for phase in result.motion.phases][-3:] == ["move turn", "let go", "retract"]
+    names = [phase.name for phase in result.motion.phases]
+    assert names == ["reach", "approach", "set on", "move turn", "let go", "retract"]
+    onto = next(phase for phase in result.motion.phases if phase.name == "set on")
+    places = []
+    for q in result.motion.curve([onto.first, onto.last]):
+        data = result.motion.robot.model.createData()
+        pin.framesForwardKinematics(result.motion.robot.model, data, q)
+        ring, peg = (data.oMf[result.motion.robot.model.getFrameId(name)] for name in ("mechanism/ring", "r_peg"))
+        places.append(ring.actInv(peg.translation))
+    first, last = places
+    assert first[1] - last[1] > 5e-3  # from beside the bar onto it
+    assert abs(first[0] - last[0]) < 1e-3  # and not along the slide
     checks = {check.name: check for check in result.certificate.checks}
     for phase in ("let go", "retract"):
         assert checks[f"let_go.{phase}.push"].basis.value == "proof"

@@ -184,6 +184,18 @@ def test_a_circle_on_a_wall_is_followed_at_its_depth_and_feed_under_thrust() -> 
     assert any("loads" in difference for difference in hold_to_request(demands, lighter).differences)
 
 
+def test_a_touch_bears_the_force_at_which_it_stops() -> None:
+    touch = {"hand": "right", "direction": [0.0, 0.0, 2.0], "window_m": [0.02, 0.06], "force_n": 10.0}
+    result = plan_steps([{"name": "feel", "touch": touch}], start={"posture": "reach_ready"})
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.motion is not None
+    (load,) = result.motion.phases[-1].loads
+    np.testing.assert_allclose(load.force, [0.0, 0.0, 10.0], atol=1e-9)
+    harder = request_of([{"name": "feel", "touch": {**touch, "force_n": 20.0}}], start={"posture": "reach_ready"})
+    held = hold_to_request(make_setup_demands(prepare(parse_request(harder))), result.motion)
+    assert any("loads" in difference for difference in held.differences)
+
+
 def test_two_parts_are_pressed_in_one_plan() -> None:
     press = {"normal": [-1, 0, 0], "force_n": 15, "travel_m": 0.008, "height_m": 0.02}
     steps = [{"press": {"at": [0.74, -0.25, z], **press}} for z in (1.4, 1.2)]

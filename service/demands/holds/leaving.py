@@ -1,7 +1,8 @@
-"""How a hand leaves what it pressed: straight off its face first, where it could drag along what nothing else holds."""
+"""How a hand comes to what it presses and leaves it: straight onto its face, where it could drag loose joints along."""
 
 from __future__ import annotations
 
+SET_ON = "set on"  # name of the phase in which a hand comes onto the face, after it has come beside it
 LET_GO = "let go"  # name of the phase in which a hand leaves the face that it presses, before it goes away
 STAYS_SHARE = 0.7  # of what keeps a joint still that counts: friction is known roughly, and hands set on too hard [-]
 

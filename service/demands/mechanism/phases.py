@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from costs.allowance import Allowance, BodyRef
 from service.demands.hands import Hand
-from service.demands.holds.leaving import LET_GO, STAYS_SHARE, may_drag
+from service.demands.holds.leaving import LET_GO, SET_ON, STAYS_SHARE, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
@@ -29,6 +29,8 @@ LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase, ...]:
     """Return the phases: reach, approach, one per move, retract unless the hand stays.
 
+    Where the hand could drag a joint along that it does not move, it sets on and lets go in phases of their own.
+
     Raises:
         RequestError: a hand at the handle does not move a joint.
     """
@@ -45,10 +47,6 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
         for link in links
         for body in handle.bodies
     )
-    phases = [
-        TaskPhase("reach", start, start),
-        TaskPhase("approach", start, start, (line,), touches),
-    ]
     ends = given.list_moves()
     values = ends[-1][1]
     joint_loads = given.list_joint_loads()
@@ -59,6 +57,9 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
             f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
+    phases = [TaskPhase("reach", start, start), TaskPhase("approach", start, start, (line,), touches)]
+    if drags_along(given, joint_loads[0], loads[0], start):
+        phases.append(TaskPhase(SET_ON, start, start, (line,), touches))
     for k, (first, last) in enumerate(ends):
         bears = {
             load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])

@@ -1,4 +1,4 @@
-"""Handle of a given mechanism as a hand best holds it: just touching, its rod leant so that its side faces the way."""
+"""Handle of a given mechanism as a hand best holds it: touching, its rod leant so that its side faces the way."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from costs.robot import Mechanism, RobotModel
 from service.demands.hands import Hand
-from service.demands.holds.leaving import LET_GO
+from service.demands.holds.leaving import LET_GO, SET_ON
 from service.demands.holds.pushes import NominalPush, find_nominal_pushes, find_side
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import make_mechanism_phases
@@ -18,9 +18,11 @@ from service.demands.phase import TaskPhase
 from service.verify import LEAST_APART_M, measure_excess
 
 SETTLED_GAP, SETTLED_DIGITS = 5e-4, 6  # between a hand and what it holds, and decimals of its place [m]
+SIDE_GAP = -1e-3  # of the side of a peg, which leaves the face by some tenths of a millimetre as its lean changes [m]
 ENOUGH_ROOM = float(np.deg2rad(12.0))  # of the angles that friction permits: a rod is leant no further for more
 LEAST_TILT = float(np.deg2rad(8.0))  # of a leant rod, for the pose of the robot
 LEAN_STEP = float(np.deg2rad(4.0))
+LAST_SHARE = 0.2  # of a line to the handle, for the hand that sets on where there is no room beside the face
 
 
 def settle_handle(
@@ -29,7 +31,7 @@ def settle_handle(
     """Return the mechanism with the handle as the hand best holds it.
 
     A rod whose side presses beside the way is leant, as far as the request permits, until friction permits the rest.
-    Its place is moved along the contact's normal until the hand just touches: one in a request is off by some
+    Its place is moved along the contact's normal until the hand touches: one in a request is off by some
     millimetres, by which the mechanism would lag behind the hand.
 
     Args:
@@ -55,10 +57,12 @@ def keep_aside(
 ) -> tuple[TaskPhase, ...]:
     """Return phases whose lines lead to the handle, and away from it, beside the face that the hand presses.
 
-    A rod that slides along a face drags it along: a hand that lets go first leaves the face straight.
+    A rod that slides along a face drags it along: a hand that sets on or lets go first moves straight between the face
+    and a place beside it.
     """
     moving = [k for k, spec in enumerate(specs) if spec.moving]
     sides = [find_side(specs[k], robot, mechanism, friction) for k in (moving[0], moving[-1])]
+    sets_on = any(spec.name == SET_ON for spec in specs[: moving[0]])
     kept, is_off = list[TaskPhase](), False
     for k, spec in enumerate(specs):
         hand = spec.hand
@@ -67,7 +71,11 @@ def keep_aside(
             continue
         if hand.offset is not None:
             side = sides[0] if k < moving[0] else sides[1]
-            if spec.name == LET_GO and side.any():
+            if k < moving[0] and sets_on:
+                beside = side if side.any() else LAST_SHARE * hand.offset
+                onto = spec.name == SET_ON
+                hand = replace(hand, offset=beside) if onto else replace(hand, place=hand.place + beside)
+            elif spec.name == LET_GO and side.any():
                 hand, is_off = replace(hand, offset=side), True
             elif is_off:
                 hand = replace(hand, place=hand.place + side)
@@ -78,11 +86,12 @@ def keep_aside(
 
 
 def _touch(given: GivenMechanism, pushes: Sequence[NominalPush]) -> GivenMechanism:
-    """Return the handle moved along the normal of its first contact until the hand just touches."""
+    """Return the handle moved along the normal of its first contact until the hand touches."""
+    settled = SIDE_GAP if given.request.handle.tool == "peg" else SETTLED_GAP
     for nominal in pushes:
         for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
             if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
-                shift = np.round((meeting.gap - SETTLED_GAP) * meeting.normal, SETTLED_DIGITS)
+                shift = np.round((meeting.gap - settled) * meeting.normal, SETTLED_DIGITS)
                 return replace(given, handle=replace(given.handle, place=given.handle.place + shift))
     return given
 

@@ -318,8 +318,9 @@ def _make_touch(
     led = Led(frame, guide, **_read_free(touch.free_axis), **_read_limits(touch))  # type: ignore[arg-type]
     depth = touch.window_m[1] - touch.window_m[0]
     touches = _allow(robot, frame, touch.pieces, depth)
+    loads = (_make_thrust(frame, guide, touch.force_n * way),)
     keeping = _keep_others(robot, company, q, (frame,), touch.other_hand)
-    return StepPhase(name, (led,), touches=touches, **keeping)  # type: ignore[arg-type]
+    return StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
 
 
 def _allow(robot: RobotModel, frame: str, pieces: tuple[str, ...], depth: float) -> tuple[Allowance, ...]:
@@ -433,13 +434,18 @@ def _make_part(
     free = UP if step.turn == "free" else None
     led = Led(frame, guide(rotation), free_axis=free, **limits)  # type: ignore[arg-type]
     keeping = _keep_others(robot, company, q, (frame,), step.other_hand)
-    loads = (_make_thrust(frame, led.guide, axis, step),) if is_path and step.thrust_n else ()
+    loads = (_make_thrust(frame, led.guide, step.thrust_n * axis),) if is_path and step.thrust_n else ()
     return StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
 
 
-def _make_thrust(frame: str, guide: Guide, axis: Float[np.ndarray, "3"], step: FollowStep) -> HandLoad:
-    """Return the force of the tool on the face, anywhere on its way: about the middle of an arc, or along a line."""
-    force = step.thrust_n * axis
+def _make_thrust(frame: str, guide: Guide, force: Float[np.ndarray, "3"]) -> HandLoad:
+    """Return the force of the tool on what it meets, anywhere on its way: about the middle of an arc, or along a line.
+
+    Args:
+        frame: of the tool.
+        guide: its way.
+        force: largest, in the world [N].
+    """
     if guide.angle:
         return HandLoad(frame, WORLD, guide.centre, force, None, guide.radius + HAND_DRIFT_M)
     half = 0.5 * guide.shift
