@@ -15,6 +15,7 @@ from service.cli.console.pose_orders import POSE_ORDERS
 from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
+from service.proto.planner.v1.planner_pb2 import SimulationVerdict
 from service.request.fields import SECTION, Name, PlainData, Point, Section
 
 Comment = Annotated[str, Field(max_length=10_000)]
@@ -24,6 +25,13 @@ Hash = Annotated[str, Field(max_length=100)]
 @checked(config=SECTION)
 class OpenOrder(Section):
     """Which plan is to be shown."""
+
+    plan_id: Name
+
+
+@checked(config=SECTION)
+class SimulateOrder(Section):
+    """Which plan is to be carried out in physics."""
 
     plan_id: Name
 
@@ -106,12 +114,16 @@ class ExecuteOrder(Section):
     Attributes:
         revision: of the robot's state.
         is_placed: whether a simulated robot is put at the plan's start first.
+        scan_age_s: age up to which the operator has found the plan's scan to be right still [s].
+        lets_go: objects that hands may let go.
     """
 
     plan_id: Name
     trajectory_sha256: Hash
     revision: int
     is_placed: bool = False
+    scan_age_s: Annotated[float, Field(ge=0.0)] | None = None
+    lets_go: Annotated[tuple[Name, ...], Field(max_length=100)] = ()
 
 
 @checked(config=SECTION)
@@ -141,6 +153,12 @@ async def _inbox(console: Console, session: OperatorSession, order: Nothing) -> 
 
 async def _open(console: Console, session: OperatorSession, order: OpenOrder) -> Any:
     return await open_plan(session, order.plan_id)
+
+
+async def _simulate(console: Console, session: OperatorSession, order: SimulateOrder) -> Any:
+    answer = await session.client.simulate(order.plan_id)
+    verdict = SimulationVerdict.Name(answer.verdict).removeprefix("SIMULATION_VERDICT_")
+    return {"verdict": verdict, "explanation": list(answer.explanation)}
 
 
 async def _review(console: Console, session: OperatorSession, order: ReviewOrder) -> Any:
@@ -181,7 +199,15 @@ async def _take(console: Console, session: OperatorSession, order: TakeOrder) ->
 
 
 async def _execute(console: Console, session: OperatorSession, order: ExecuteOrder) -> Any:
-    return await execute_plan(session, order.plan_id, order.trajectory_sha256, order.revision, order.is_placed)
+    return await execute_plan(
+        session,
+        order.plan_id,
+        order.trajectory_sha256,
+        order.revision,
+        order.is_placed,
+        order.scan_age_s,
+        order.lets_go,
+    )
 
 
 async def _command(console: Console, session: OperatorSession, order: RobotOrder) -> Any:
@@ -197,6 +223,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "inbox": PageOrder(Nothing, _inbox),
     "open": PageOrder(OpenOrder, _open),
     "review": PageOrder(ReviewOrder, _review),
+    "simulate": PageOrder(SimulateOrder, _simulate),
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
     "detect": PageOrder(DetectOrder, _detect),
