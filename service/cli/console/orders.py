@@ -12,7 +12,7 @@ from service.cli.console.inbox import execute_plan, list_inbox, open_plan, revie
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
-from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.scans import MOST_POINTS, detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.proto.planner.v1.planner_pb2 import SimulationVerdict
@@ -55,11 +55,12 @@ class ReviewOrder(Section):
 
 @checked(config=SECTION)
 class ScanOrder(Section):
-    """Which scan is to be shown, by its name in the list, and which robot stood in it."""
+    """Which scan is to be shown, by its name in the list, which robot stood in it, and with how many points."""
 
     scan: Name
     robot: Name
     posture: Name | None = None
+    most_points: Annotated[int, Field(ge=100, le=MOST_POINTS)] = MOST_POINTS
 
 
 @checked(config=SECTION)
@@ -176,7 +177,7 @@ async def _tabs(console: Console, session: OperatorSession, order: Nothing) -> A
 
 
 async def _scan(console: Console, session: OperatorSession, order: ScanOrder) -> Any:
-    return await show_scan(console.settings.scans, order.scan, order.robot, order.posture)
+    return await show_scan(console.settings.scans, order.scan, order.robot, order.posture, order.most_points)
 
 
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:

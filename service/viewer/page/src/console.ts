@@ -2,7 +2,7 @@
 import { Job, Physics, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
 import { choice } from "./console-fields";
 import { Judge, compareRisks, section } from "./console-judge";
-import { Link, State } from "./console-link";
+import { IS_SLOW, Link, State } from "./console-link";
 import { Measured } from "./console-pose-data";
 import { PoseTab } from "./console-pose";
 import { RobotStrip } from "./console-robot";
@@ -10,7 +10,7 @@ import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
 
 interface Settings { version: string; server: string }
-const REFRESH_MS = 5000;
+const REFRESH_MS = IS_SLOW ? 30_000 : 5000;
 const INBOX = "inbox";
 const MOST_AGE_S = 7 * 86400;  // of a scan that an operator may find to be right still
 const POSE = "pose tab";  // no task file is called so
@@ -123,7 +123,8 @@ class ConsolePage {
   private async refresh(): Promise<void> {
     if (this.link.state !== "open") return;
     try {
-      [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), this.link.order<Tabs>("tabs")]);
+      const tabs = IS_SLOW && this.tabs.tabs.length > 0 ? this.tabs : this.link.order<Tabs>("tabs");
+      [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), tabs]);
       if (this.link.state === "open") this.say("", this.notice);
     } catch (error) {
       // A caller of the wrong role, or a planning server that does not answer: the console itself does.
