@@ -475,6 +475,7 @@ class AsyncPlannerClient:
         waits_for_start: bool = False,
         is_placed: bool = False,
         accepted_scan_age_s: float | None = None,
+        lets_go: Iterable[str] = (),
     ) -> ExecuteResponse:
         """Have the server's robot carry out exactly the trajectory that was looked at; the plan is verified before.
 
@@ -488,6 +489,7 @@ class AsyncPlannerClient:
             waits_for_start: whether the plan's clock waits for the order ``start``.
             is_placed: whether a simulated robot is put at the plan's start first.
             accepted_scan_age_s: age up to which the plan's scan was found to be right still [s].
+            lets_go: objects that the plan's hands may let go, each confirmed by name.
         """
         message = ExecuteRequest(
             plan_id=plan_id,
@@ -499,6 +501,7 @@ class AsyncPlannerClient:
             waits_for_start=waits_for_start,
             is_placed=is_placed,
             accepted_scan_age_s=accepted_scan_age_s,
+            lets_go=lets_go,
         )
         response: ExecuteResponse = await self._call("Execute", message, None, is_repeatable=False)
         return response

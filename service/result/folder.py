@@ -6,7 +6,7 @@ import json
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +58,23 @@ class ResultFiles:
     def to_json(self) -> dict[str, str]:
         """Return the paths that ``--json`` prints."""
         return {"result": str(self.result), "viewer": str(self.viewer)}
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write the files of a result, given by path, into a folder.
+
+    Raises:
+        ResultError: a path leads out of the folder, or cannot be one of a file.
+    """
+    for name, content in files.items():
+        try:
+            path = (folder / name).resolve()
+            if not path.is_relative_to(folder.resolve()):
+                raise ResultError(f"{shown(name)} is outside the result folder")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        except (OSError, ValueError):
+            raise ResultError(f"{shown(name)} is no path of a file") from None
 
 
 def check_folder(folder: Path) -> None:

@@ -284,6 +284,7 @@ class QueryHandlers:
             created=encode_time(record.created),
             reason=record.why_lost,
             page_sha256=record.page_sha256,
+            needs_review=self._store.lists.needs_review(record.plan_id),
         )
         if record.state is PlanState.FINISHED:
             message.result.CopyFrom(parse_result(record))

@@ -110,6 +110,15 @@ class Lists:
             ).fetchall()
         return tuple(self._read(row["number"], row["plan_id"], bool(row["needs_review"])) for row in rows)
 
+    def needs_review(self, plan_id: str) -> bool:
+        """Return whether a plan waits for a decision."""
+        with self._database.reading() as db:
+            row = db.execute(
+                f"SELECT {_NEEDS_REVIEW} AS needs_review FROM plans WHERE plan_id = :plan_id",
+                {"plan_id": plan_id, "now": self._clock()},
+            ).fetchone()
+        return row is not None and bool(row["needs_review"])
+
     def _read(self, number: int, plan_id: str, needs_review: bool) -> ListedPlan:
         try:
             return ListedPlan(number, plan_id, self._plans.get(plan_id), self._reviews.find(plan_id), needs_review)

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from costs.robot import BASE_NAMES, bundled_robots, read_followers
-from service.errors import RequestError, ResultError, shown
+from service.errors import RequestError, ResultError
 from service.executor import Control
 from service.request.known_names import RobotNames
 from service.request.scene import KnownMeshRequest
 from service.request.schema import PlanRequest, RobotRequest
 from service.request.tasks.reach import GoalRequest
+from service.result.folder import write_files
 from service.scan.cloud import CloudInput
 from service.store import find_damaged_uploads
 from service.work.plan import ROBOTS, Refused, stops_with
@@ -123,16 +124,8 @@ def with_result_folder(
     """Return what a function makes of a result folder, given as its files by path."""
     with tempfile.TemporaryDirectory(prefix="scopt-") as scratch:
         folder = Path(scratch)
-        for name, content in files.items():
-            try:
-                path = (folder / name).resolve()
-                if not path.is_relative_to(folder.resolve()):
-                    return Refused((f"files: {shown(name)} is outside the result folder",))
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.write_bytes(content)
-            except (OSError, ValueError):
-                return Refused((f"files: {shown(name)} is no path of a file",))
         try:
+            write_files(folder, files)
             with stops_with(control):
                 return work(folder)
         except (ResultError, RequestError) as error:

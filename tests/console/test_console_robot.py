@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import Browser, open_browser
 from console_page import click, console_of, wait
 from planner_server import planner_server
 
+from service.cli.console.bridge import send_events
 from service.cli.console.robot import describe_measured, describe_state, find_surprises
 from service.client import PlannerClient
 from service.client.answers import FinishedPlan
@@ -55,6 +59,48 @@ def test_the_joint_that_is_farthest_from_the_plan_is_named() -> None:
     assert (farthest["joint"], farthest["off"]) == ("two", pytest.approx(0.3))
     idle = wire.ExecutionStatus(mode=wire.EXECUTION_MODE_IDLE)
     assert describe_measured(wire.WatchResponse(status=idle))["farthest"] is None
+
+
+class Line:
+    """A line to a page, as its bridge sees it."""
+
+    def __init__(self) -> None:
+        self.sent: list[dict[str, Any]] = []
+
+    async def send_json(self, message: dict[str, Any]) -> None:
+        self.sent.append(message)
+
+
+def test_a_slow_line_gets_answers_at_once_and_of_poses_the_newest() -> None:
+    line = Line()
+
+    async def run() -> None:
+        queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        sender = asyncio.create_task(send_events(line, queue, 3600.0))  # type: ignore[arg-type]
+        for number in range(100):
+            queue.put_nowait({"event": "measured", "clock_s": number})
+        queue.put_nowait({"id": 1, "result": {}})
+        while len(line.sent) < 2:
+            await asyncio.sleep(0.001)
+        queue.put_nowait({"event": "measured", "clock_s": 100})
+        queue.put_nowait({"id": 2, "result": {}})
+        while len(line.sent) < 3:
+            await asyncio.sleep(0.001)
+        sender.cancel()
+
+    asyncio.run(run())
+    assert [message.get("id", message.get("clock_s")) for message in line.sent] == [1, 99, 2]
+
+
+def test_a_measured_pose_of_a_humanoid_is_half_of_what_a_slow_line_carries_in_a_second() -> None:
+    state = wire.WatchResponse(
+        plan=wire.LoadedPlan(joint_names=[f"l_arm_joint_{k}" for k in range(36)]),
+        pose=wire.RobotPose(
+            clock_s=123.456789, measured=[-1.23456789] * 36, planned=[-1.2] * 36, measured_base=[-1.23456789] * 7
+        ),
+    )
+    sent = json.dumps({"event": "measured", **describe_measured(state)}, separators=(",", ":"))
+    assert 8 * len(sent) < 0.5 * 9600
 
 
 @pytest.fixture(scope="module")

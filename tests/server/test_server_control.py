@@ -9,7 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.server.operation.checks import check_approval, check_plan, check_scan_age, find_scan_age_s
+from service.server.operation.checks import (
+    check_approval,
+    check_plan,
+    check_releases,
+    check_scan_age,
+    find_scan_age_s,
+)
 from service.server.operation.control import Lease, RobotControl
 from service.store import Decision, PlanState, Review, Store
 from service.trust.rpc import Refusal
@@ -155,3 +161,13 @@ def test_an_old_scan_is_refused_unless_the_operator_accepts_its_age() -> None:
     check_scan_age(9000.0, 3600.0, 10000.0)
     with pytest.raises(Refusal, match="expected at most 10 s"):
         check_scan_age(60.0, 3600.0, 10.0)
+
+
+def test_a_plan_that_lets_go_of_something_needs_its_own_confirmation() -> None:
+    carriers = [[{"object": "drill", "link": "r_hand"}], [{"object": "drill", "link": None}]]
+    phases = [{"name": name, "carriers": own} for name, own in zip(("hold", "put down"), carriers, strict=True)]
+    for confirmed in ([], ["cup"]):
+        with pytest.raises(Refusal, match="lets go of 'drill' in phase 'put down'; name what may be let go"):
+            check_releases({"phases": phases}, confirmed)
+    check_releases({"phases": phases}, ["drill"])
+    check_releases({"phases": phases[:1]}, [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,6 +20,8 @@ from service.errors import RequestError, ServiceError, shown, would_do
 
 _LOG = logging.getLogger("scopt.console")
 ENDED, OTHER_VERSION, FORGED = 4401, 4409, 4403
+MEASURED = "measured"  # event of a pose that a later one replaces
+SLOW_S = 1.0  # between two of them on a slow line
 MOST_AT_ONCE = 16  # orders of one page that are worked on
 
 
@@ -33,12 +36,13 @@ class _RefusedError(Exception):
 async def serve_page(console: Console, websocket: WebSocket) -> None:
     """Answer the orders of a page until it goes.
 
-    The page first sends ``{hello: {version, forgery}}``. An order is ``{id, order, ...}``; each is answered by
-    ``{id, result}`` or ``{id, error, code}``. What happens besides is ``{event, ...}``.
+    The page first sends ``{hello: {version, forgery, is_slow}}``; one on a slow line gets a measured pose a second.
+    An order is ``{id, order, ...}``; each is answered by ``{id, result}`` or ``{id, error, code}``. What happens
+    besides is ``{event, ...}``.
     """
     await websocket.accept()
     try:
-        session = await _receive_hello(console, websocket)
+        session, is_slow = await _receive_hello(console, websocket)
     except _RefusedError as refused:
         await websocket.send_json({"refused": str(refused)})
         await websocket.close(refused.code)
@@ -47,7 +51,7 @@ async def serve_page(console: Console, websocket: WebSocket) -> None:
         return
     queue: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
     session.add_page(queue)
-    sender = asyncio.create_task(_send(websocket, queue))
+    sender = asyncio.create_task(send_events(websocket, queue, SLOW_S if is_slow else 0.0))
     answers: set[asyncio.Task[None]] = set()
     try:
         while True:
@@ -67,7 +71,7 @@ async def serve_page(console: Console, websocket: WebSocket) -> None:
         await asyncio.gather(sender, *answers, return_exceptions=True)
 
 
-async def _receive_hello(console: Console, websocket: WebSocket) -> OperatorSession:
+async def _receive_hello(console: Console, websocket: WebSocket) -> tuple[OperatorSession, bool]:
     message = json.loads(await websocket.receive_text())
     hello = message.get("hello") if isinstance(message, dict) else None
     if not isinstance(hello, dict):
@@ -79,12 +83,24 @@ async def _receive_hello(console: Console, websocket: WebSocket) -> OperatorSess
         raise _RefusedError(ENDED, "the session has ended; log in again")
     if hello.get("forgery") != session.forgery:
         raise _RefusedError(FORGED, "forgery: is not that of this session; load the page again")
-    return session
+    return session, hello.get("is_slow") is True
 
 
-async def _send(websocket: WebSocket, queue: asyncio.Queue[dict[str, Any]]) -> None:
+async def send_events(websocket: WebSocket, queue: asyncio.Queue[dict[str, Any]], period_s: float) -> None:
+    """Send events and answers to a page as they come, and of measured poses the newest, one per ``period_s``."""
+    due, latest = 0.0, None
     while True:
-        await websocket.send_json(await queue.get())
+        try:
+            async with asyncio.timeout(None if latest is None else max(0.0, due - time.monotonic())):
+                message = await queue.get()
+        except TimeoutError:
+            await websocket.send_json(latest)
+            due, latest = time.monotonic() + period_s, None
+            continue
+        if period_s > 0.0 and message.get("event") == MEASURED:
+            latest = message
+        else:
+            await websocket.send_json(message)
 
 
 async def _answer(

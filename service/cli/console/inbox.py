@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,8 @@ from service.client.answers import read_verdict
 from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, PlanSummary
 from service.proto.planner.v1.result_pb2 import VERDICT_UNSPECIFIED, Verdict
-from service.result.folder import VIEWER_NAME
+from service.result.folder import RESULT_NAME, VIEWER_NAME
+from service.result.releases import list_releases
 
 MOST_LISTED = 30
 _KNOWN = [verdict for verdict in Verdict.values() if verdict != VERDICT_UNSPECIFIED]
@@ -44,15 +47,16 @@ async def open_plan(session: OperatorSession, plan_id: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="scopt-console-") as scratch:
         folder = Path(scratch) / "plan"
         stored = await session.client.get_plan(plan_id, out=folder)
-        viewer = folder / VIEWER_NAME
+        viewer, files = folder / VIEWER_NAME, folder / RESULT_NAME
         page = await asyncio.to_thread(viewer.read_bytes) if viewer.is_file() else None
+        releases = list_releases(json.loads(await asyncio.to_thread(files.read_bytes)) if files.is_file() else {})
     record = stored.record
     if not record.HasField("result"):
         state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
         reason = f": {record.reason}" if record.reason else ""
         raise RequestError(f"plan {plan_id} is {state}{reason}; expected a finished plan")
-    session.keep_opened(plan_id, OpenedPlan(record, page))
-    return {**_make_row(record), **judge_plan(record), "has_page": page is not None}
+    session.keep_opened(plan_id, OpenedPlan(record, page, releases))
+    return {**_make_row(record), **judge_plan(record), "has_page": page is not None, "releases": releases}
 
 
 async def review_plan(
@@ -74,14 +78,24 @@ async def review_plan(
     _require_shown(record, shown == hashes)
     await session.client.review(record, accept=is_accepted, comment=comment, despite=despite)
     stored = await session.client.get_plan(plan_id)
-    session.keep_opened(plan_id, OpenedPlan(stored.record, opened.page))
+    session.keep_opened(plan_id, OpenedPlan(stored.record, opened.page, opened.releases))
     return _make_row(stored.record)
 
 
 async def execute_plan(
-    session: OperatorSession, plan_id: str, trajectory_sha256: str, revision: int, is_placed: bool
+    session: OperatorSession,
+    plan_id: str,
+    trajectory_sha256: str,
+    revision: int,
+    is_placed: bool,
+    scan_age_s: float | None,
+    lets_go: Sequence[str],
 ) -> dict[str, Any]:
     """Have the robot carry out exactly the accepted trajectory that the page showed.
+
+    Args:
+        scan_age_s: age up to which the operator has found the scan to be right still [s]; None for the server's limit.
+        lets_go: objects that hands may let go, as the operator confirmed.
 
     Raises:
         RequestError: the plan is not open, or its newest review does not accept it.
@@ -98,7 +112,9 @@ async def execute_plan(
         decision = "accepted" if newest.decision == Decision.DECISION_ACCEPTED else "rejected"
         raise ServiceError(f"plan {plan_id} was {decision} by {newest.reviewer} since; open it again and look at it")
     approval = newest.approval
-    after, carried_out = await session.robot.execute(plan_id, trajectory_sha256, approval, revision, is_placed)
+    after, carried_out = await session.robot.execute(
+        plan_id, trajectory_sha256, approval, revision, is_placed=is_placed, scan_age_s=scan_age_s, lets_go=lets_go
+    )
     return {"revision": after, "trajectory_sha256": carried_out}
 
 
@@ -152,7 +168,7 @@ def _make_row(record: PlanRecord) -> dict[str, Any]:
         "created": record.created.ToJsonString() if record.HasField("created") else "",
         "is_approved": record.is_approved,
         "is_rejected": bool(reviews) and not last_accepts,
-        "needs_decision": is_finished and not record.is_approved and (not reviews or last_accepts),
+        "needs_decision": record.needs_review,
         "reason": record.reason,
         "reviews": reviews,
         "trajectory_sha256": record.result.trajectory.sha256,

@@ -83,7 +83,7 @@ async def carry_out_step(
         after = 0
         if to == "robot":
             sha256 = finished.result.trajectory.sha256
-            after, _ = await session.robot.execute(finished.plan_id, sha256, b"", revision, is_placed=False)
+            after, _ = await session.robot.execute(finished.plan_id, sha256, b"", revision)
         session.pose.send(**make_set(read_last_pose(finished.result.trajectory)))
         await asyncio.sleep(max(0.0, begun + PERIOD_S - time.monotonic()))
         return describe_move(finished, after)

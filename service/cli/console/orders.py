@@ -12,9 +12,10 @@ from service.cli.console.inbox import execute_plan, list_inbox, open_plan, revie
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
-from service.cli.console.scans import detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.scans import MOST_POINTS, detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
+from service.proto.planner.v1.planner_pb2 import SimulationVerdict
 from service.request.fields import SECTION, Name, PlainData, Point, Section
 
 Comment = Annotated[str, Field(max_length=10_000)]
@@ -24,6 +25,13 @@ Hash = Annotated[str, Field(max_length=100)]
 @checked(config=SECTION)
 class OpenOrder(Section):
     """Which plan is to be shown."""
+
+    plan_id: Name
+
+
+@checked(config=SECTION)
+class SimulateOrder(Section):
+    """Which plan is to be carried out in physics."""
 
     plan_id: Name
 
@@ -47,11 +55,12 @@ class ReviewOrder(Section):
 
 @checked(config=SECTION)
 class ScanOrder(Section):
-    """Which scan is to be shown, by its name in the list, and which robot stood in it."""
+    """Which scan is to be shown, by its name in the list, which robot stood in it, and with how many points."""
 
     scan: Name
     robot: Name
     posture: Name | None = None
+    most_points: Annotated[int, Field(ge=100, le=MOST_POINTS)] = MOST_POINTS
 
 
 @checked(config=SECTION)
@@ -106,12 +115,16 @@ class ExecuteOrder(Section):
     Attributes:
         revision: of the robot's state.
         is_placed: whether a simulated robot is put at the plan's start first.
+        scan_age_s: age up to which the operator has found the plan's scan to be right still [s].
+        lets_go: objects that hands may let go.
     """
 
     plan_id: Name
     trajectory_sha256: Hash
     revision: int
     is_placed: bool = False
+    scan_age_s: Annotated[float, Field(ge=0.0)] | None = None
+    lets_go: Annotated[tuple[Name, ...], Field(max_length=100)] = ()
 
 
 @checked(config=SECTION)
@@ -143,6 +156,12 @@ async def _open(console: Console, session: OperatorSession, order: OpenOrder) ->
     return await open_plan(session, order.plan_id)
 
 
+async def _simulate(console: Console, session: OperatorSession, order: SimulateOrder) -> Any:
+    answer = await session.client.simulate(order.plan_id)
+    verdict = SimulationVerdict.Name(answer.verdict).removeprefix("SIMULATION_VERDICT_")
+    return {"verdict": verdict, "explanation": list(answer.explanation)}
+
+
 async def _review(console: Console, session: OperatorSession, order: ReviewOrder) -> Any:
     hashes = order.trajectory_sha256, order.certificate_sha256, order.page_sha256
     return await review_plan(session, order.plan_id, order.accept, hashes, order.comment, order.despite)
@@ -158,7 +177,7 @@ async def _tabs(console: Console, session: OperatorSession, order: Nothing) -> A
 
 
 async def _scan(console: Console, session: OperatorSession, order: ScanOrder) -> Any:
-    return await show_scan(console.settings.scans, order.scan, order.robot, order.posture)
+    return await show_scan(console.settings.scans, order.scan, order.robot, order.posture, order.most_points)
 
 
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
@@ -181,7 +200,15 @@ async def _take(console: Console, session: OperatorSession, order: TakeOrder) ->
 
 
 async def _execute(console: Console, session: OperatorSession, order: ExecuteOrder) -> Any:
-    return await execute_plan(session, order.plan_id, order.trajectory_sha256, order.revision, order.is_placed)
+    return await execute_plan(
+        session,
+        order.plan_id,
+        order.trajectory_sha256,
+        order.revision,
+        order.is_placed,
+        order.scan_age_s,
+        order.lets_go,
+    )
 
 
 async def _command(console: Console, session: OperatorSession, order: RobotOrder) -> Any:
@@ -197,6 +224,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "inbox": PageOrder(Nothing, _inbox),
     "open": PageOrder(OpenOrder, _open),
     "review": PageOrder(ReviewOrder, _review),
+    "simulate": PageOrder(SimulateOrder, _simulate),
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
     "detect": PageOrder(DetectOrder, _detect),

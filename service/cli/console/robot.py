@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import aclosing, suppress
 from typing import Any
 
@@ -143,7 +143,15 @@ class RobotSeat:
         return answer.revision
 
     async def execute(
-        self, plan_id: str, trajectory_sha256: str, approval: bytes, revision: int, is_placed: bool
+        self,
+        plan_id: str,
+        trajectory_sha256: str,
+        approval: bytes,
+        revision: int,
+        *,
+        is_placed: bool = False,
+        scan_age_s: float | None = None,
+        lets_go: Sequence[str] = (),
     ) -> tuple[int, str]:
         """Have the robot carry out a trajectory; return the revision, and the hash of what it carries out.
 
@@ -154,7 +162,14 @@ class RobotSeat:
         self._require_acknowledged()
         self._has_stopped = False
         answer = await self._client.execute(
-            plan_id, trajectory_sha256, lease=self._lease, revision=revision, approval=approval, is_placed=is_placed
+            plan_id,
+            trajectory_sha256,
+            lease=self._lease,
+            revision=revision,
+            approval=approval,
+            is_placed=is_placed,
+            accepted_scan_age_s=scan_age_s,
+            lets_go=lets_go,
         )
         return answer.revision, answer.trajectory_sha256
 

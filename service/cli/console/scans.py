@@ -47,14 +47,16 @@ def find_scan(folders: Sequence[Path], name: str) -> Path:
     return found[name]
 
 
-async def show_scan(folders: Sequence[Path], name: str, robot: str, posture: str | None) -> dict[str, Any]:
+async def show_scan(
+    folders: Sequence[Path], name: str, robot: str, posture: str | None, most_points: int = MOST_POINTS
+) -> dict[str, Any]:
     """Return the points of a scan without those of the robot, packed for the page, and its age.
 
     Raises:
         RequestError: there is no such scan, or it cannot be read.
     """
     path = find_scan(folders, name)
-    cloud = await asyncio.to_thread(_read_points, path, robot, posture)
+    cloud = await asyncio.to_thread(_read_points, path, robot, posture, most_points)
     return {"name": name, "age_s": max(0.0, time.time() - path.stat().st_mtime), "cloud": quantize(cloud)}
 
 
@@ -124,7 +126,7 @@ def _find_scans(folders: Sequence[Path]) -> dict[str, Path]:
     return found
 
 
-def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
+def _read_points(path: Path, robot: str, posture: str | None, most_points: int) -> np.ndarray:
     """Return the points of a cloud file without those of a robot; one that only the server knows keeps its own."""
     from perception import inside_hulls
     from service.scan.cloud import CloudInput, read_input
@@ -137,4 +139,4 @@ def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
         read = read_input(clouds, lambda step: None)
     points = read.cloud.points
     own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
-    return thin_points(points[~own], MOST_POINTS)
+    return thin_points(points[~own], most_points)

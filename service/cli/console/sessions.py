@@ -30,10 +30,12 @@ class OpenedPlan:
     Attributes:
         record: of the server.
         page: content of ``viewer.html``; None for a plan without files.
+        releases: phase in which hands let go of an object, by object.
     """
 
     record: PlanRecord
     page: bytes | None
+    releases: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass

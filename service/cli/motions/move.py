@@ -120,6 +120,28 @@ def plunge_command(
 
 
 @command(has_verdict=True)
+def nudge_command(
+    where: WhereOptions,
+    key: Annotated[str, typer.Argument(help="Up, Down, Left, Right, i, o; e, d, s, f, w, r or their capitals; q, a.")],
+    hand: Annotated[str, typer.Option(help="left, right or both.")] = "right",
+    other_hand: Annotated[str, typer.Option(help="The other hand: keep its pose, lock its joints, or free.")] = "keep",
+    free_axis: Annotated[str, typer.Option(help="Axis of the hand about which it may turn: x, y, z, all.")] = "none",
+    middle: Annotated[Triple | None, typer.Option(help="Point about which both hands turn [m].")] = None,
+    neck: Annotated[str | None, typer.Option(help="Joint of the neck and where it is.", metavar="JOINT=VALUE")] = None,
+    touch_force: Annotated[float | None, typer.Option(help="The hand may touch, up to this force [N].")] = None,
+    touch: Annotated[list[str] | None, typer.Option(help="Piece that the hand may touch; repeatable.")] = None,
+    as_json: Json = False,
+) -> str:
+    """Nudge a hand, both hands or the neck by a key of the console: 1 cm or 0.02 rad."""
+    from service.request.tasks.nudges import NudgeSettings, Touch, make_nudge
+
+    (joint,) = read_settings([neck]).items() if neck is not None else (None,)
+    touched = None if touch_force is None else Touch(tuple(touch or ()), touch_force)
+    settings = NudgeSettings(hand, other_hand, free_axis, middle, joint, touch=touched)  # type: ignore[arg-type]
+    return _plan("nudge", make_nudge(key, settings), where, as_json=as_json)
+
+
+@command(has_verdict=True)
 def joints_command(
     where: WhereOptions,
     settings: Annotated[
@@ -188,6 +210,7 @@ for _name, _function in {
     "line": line_command,
     "circle": circle_command,
     "plunge": plunge_command,
+    "nudge": nudge_command,
     "joints": joints_command,
     "body": body_command,
     "neck": neck_command,

@@ -42,6 +42,10 @@ def execute_command(
         float | None,
         typer.Option(help="Seconds up to which you have found the plan's scan to be right still.", show_default=False),
     ] = None,
+    lets_go: Annotated[
+        list[str] | None,
+        typer.Option(help="Object that the plan's hands may let go; repeatable, needed for each.", show_default=False),
+    ] = None,
     take_over: Annotated[
         bool, typer.Option("--take-over", help="Take the control of the robot from whoever has it.")
     ] = False,
@@ -70,6 +74,7 @@ def execute_command(
                 start_tolerance=start_tolerance,
                 is_placed=place,
                 accepted_scan_age_s=accept_scan_age,
+                lets_go=lets_go or (),
             )
             last = _watch(states, begun.revision, stderr)
         finally:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from service.errors import shown
+from service.result.releases import describe_releases, list_releases
 from service.server.operation.control import refuse
 from service.store import Decision, NotStoredError, PlanRecord, PlanState, Review, Store
 
@@ -93,6 +94,21 @@ def check_scan_age(age_s: float | None, limit_s: float, accepted_s: float | None
         raise refuse(
             f"the plan's scan is {_describe(age_s)} old; expected at most {_describe(most)}: scan again and plan with "
             "it, or compare the scan with what is there and accept its age"
+        )
+
+
+def check_releases(result: Mapping[str, Any], confirmed: Sequence[str]) -> None:
+    """Check that the operator has confirmed every object that hands let go.
+
+    Raises:
+        Refusal: FAILED_PRECONDITION with a sentence.
+    """
+    released = list_releases(result)
+    open_ones = {name: phase for name, phase in released.items() if name not in confirmed}
+    if open_ones:
+        raise refuse(
+            f"lets_go: the plan lets go of {describe_releases(open_ones)}; name what may be let go to confirm that the "
+            "hand may open there"
         )
 
 

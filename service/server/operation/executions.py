@@ -16,9 +16,11 @@ import structlog
 
 from service.errors import ExecutionError
 from service.proto.planner.v1 import execution_pb2 as wire
+from service.result.folder import write_files
 from service.server.operation.checks import (
     check_approval,
     check_plan,
+    check_releases,
     check_scan_age,
     find_scan_age_s,
     read_result_json,
@@ -119,13 +121,15 @@ class ExecutionHandlers:
         is_required = not robot.is_simulated if needs_approval is None else needs_approval
         check_approval(record.plan_id, self._store.reviews.find(record.plan_id), message.approval, is_required, now)
         files = await asyncio.to_thread(read_files, self._store, record.plan_id)
-        age_s = find_scan_age_s(read_result_json(files), record, self._store, now)
+        result = read_result_json(files)
+        check_releases(result, message.lets_go)
+        age_s = find_scan_age_s(result, record, self._store, now)
         accepted = message.accepted_scan_age_s if message.HasField("accepted_scan_age_s") else None
         check_scan_age(age_s, self._settings.scan_age_s, accepted)
         if not robot.is_alive:
             await _or_refuse(robot.start())
         with tempfile.TemporaryDirectory(prefix="scopt-") as folder:
-            await asyncio.to_thread(_write, Path(folder), files)
+            await asyncio.to_thread(write_files, Path(folder), files)
             answer = await _or_refuse(
                 robot.order(
                     "execute",
@@ -308,13 +312,6 @@ def _read_tolerance(message: wire.ExecuteRequest) -> float:
 def _caller_name(station: str) -> str:
     name = current_caller().name
     return f"{name} ({station})" if station else name
-
-
-def _write(folder: Path, files: Mapping[str, bytes]) -> None:
-    for name, data in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
 
 
 def _status_to_message(status: Mapping[str, Any]) -> wire.ExecutionStatus:

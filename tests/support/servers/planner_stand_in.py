@@ -203,7 +203,9 @@ class PlannerStandIn(PlannerServiceServicer):
             refuse(context, grpc.StatusCode.NOT_FOUND, f"no plan {request.plan_id!r}")
         result = self.result if self.state == pb.PLAN_STATE_FINISHED else None
         yield pb.GetPlanResponse(
-            record=pb.PlanRecord(plan_id=PLAN_ID, state=self.state, result=result, reviews=self.reviews)
+            record=pb.PlanRecord(
+                plan_id=PLAN_ID, state=self.state, result=result, reviews=self.reviews, needs_review=not self.reviews
+            )
         )
         if request.with_files:
             for chunk in chunks(FILES):

@@ -25,37 +25,37 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import timestamp_pb2 as google_dot_protobuf_dot_timestamp__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aplanner/v1/execution.proto\x12\nplanner.v1\x1a\x1fgoogle/protobuf/timestamp.proto\"\x90\x02\n\x0e\x45xecuteRequest\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\x12\x10\n\x08\x61pproval\x18\x03 \x01(\x0c\x12\x1c\n\x0fstart_tolerance\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05lease\x18\x05 \x01(\t\x12\x19\n\x11\x65xpected_revision\x18\x06 \x01(\x04\x12\x17\n\x0fwaits_for_start\x18\x07 \x01(\x08\x12\x11\n\tis_placed\x18\x08 \x01(\x08\x12 \n\x13\x61\x63\x63\x65pted_scan_age_s\x18\t \x01(\x01H\x01\x88\x01\x01\x42\x12\n\x10_start_toleranceB\x16\n\x14_accepted_scan_age_s\">\n\x0f\x45xecuteResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\"|\n\x0e\x43ommandRequest\x12 \n\x05order\x18\x01 \x01(\x0e\x32\x11.planner.v1.Order\x12\x19\n\x11\x65xpected_revision\x18\x02 \x01(\x04\x12\r\n\x05lease\x18\x03 \x01(\t\x12\r\n\x05speed\x18\x04 \x01(\x01\x12\x0f\n\x07station\x18\x05 \x01(\t\"2\n\x0f\x43ommandResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\r\n\x05lease\x18\x02 \x01(\t\"?\n\x0cWatchRequest\x12\r\n\x05lease\x18\x01 \x01(\t\x12\x14\n\x07rate_hz\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_rate_hz\"\x84\x02\n\rWatchResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\x13\n\x0bis_snapshot\x18\x02 \x01(\x08\x12(\n\x04time\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12+\n\x06status\x18\x04 \x01(\x0b\x32\x1b.planner.v1.ExecutionStatus\x12$\n\x04plan\x18\x05 \x01(\x0b\x32\x16.planner.v1.LoadedPlan\x12*\n\x07\x63ontrol\x18\x06 \x01(\x0b\x32\x19.planner.v1.ControlHolder\x12#\n\x04pose\x18\x07 \x01(\x0b\x32\x15.planner.v1.RobotPose\"\x8e\x01\n\x0f\x45xecutionStatus\x12\'\n\x04mode\x18\x01 \x01(\x0e\x32\x19.planner.v1.ExecutionMode\x12\r\n\x05phase\x18\x02 \x01(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x10\n\x08\x66indings\x18\x04 \x03(\t\x12\r\n\x05speed\x18\x05 \x01(\x01\x12\x12\n\nlast_order\x18\x06 \x01(\t\"\xcb\x01\n\nLoadedPlan\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\x12\x1a\n\x12\x63\x65rtificate_sha256\x18\x03 \x01(\t\x12\x14\n\x0cscene_sha256\x18\x04 \x01(\t\x12\x0e\n\x06phases\x18\x05 \x03(\t\x12\x12\n\nduration_s\x18\x06 \x01(\x01\x12\x13\n\x0bjoint_names\x18\x07 \x03(\t\x12\x11\n\tunwatched\x18\x08 \x03(\t\x12\x13\n\x0bguards_json\x18\t \x01(\t\"m\n\rControlHolder\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07station\x18\x02 \x01(\t\x12)\n\x05since\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x12\n\nis_present\x18\x04 \x01(\x08\"\xa5\x01\n\tRobotPose\x12\x0f\n\x07\x63lock_s\x18\x01 \x01(\x01\x12\x0c\n\x04rate\x18\x02 \x01(\x01\x12\x10\n\x08measured\x18\x03 \x03(\x02\x12\x0f\n\x07planned\x18\x04 \x03(\x02\x12\x15\n\rmeasured_base\x18\x05 \x03(\x02\x12\x14\n\x0cplanned_base\x18\x06 \x03(\x02\x12)\n\x06\x66orces\x18\x07 \x03(\x0b\x32\x19.planner.v1.MeasuredForce\"=\n\rMeasuredForce\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\r\n\x05\x66orce\x18\x02 \x03(\x02\x12\x0f\n\x07planned\x18\x03 \x03(\x02*\xcc\x01\n\x05Order\x12\x15\n\x11ORDER_UNSPECIFIED\x10\x00\x12\x0f\n\x0bORDER_START\x10\x01\x12\x0f\n\x0bORDER_PAUSE\x10\x02\x12\x10\n\x0cORDER_RESUME\x10\x03\x12\x0e\n\nORDER_STOP\x10\x04\x12\x0f\n\x0bORDER_ABORT\x10\x05\x12\x0f\n\x0bORDER_SPEED\x10\x06\x12\x16\n\x12ORDER_TAKE_CONTROL\x10\x07\x12\x13\n\x0fORDER_TAKE_OVER\x10\x08\x12\x19\n\x15ORDER_RELEASE_CONTROL\x10\t*\xf4\x02\n\rExecutionMode\x12\x1e\n\x1a\x45XECUTION_MODE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x45XECUTION_MODE_IDLE\x10\x01\x12\x1a\n\x16\x45XECUTION_MODE_LOADING\x10\x02\x12\x18\n\x14\x45XECUTION_MODE_READY\x10\x03\x12\x1a\n\x16\x45XECUTION_MODE_RUNNING\x10\x04\x12\x19\n\x15\x45XECUTION_MODE_PAUSED\x10\x05\x12\x1a\n\x16\x45XECUTION_MODE_WAITING\x10\x06\x12\x1c\n\x18\x45XECUTION_MODE_RETURNING\x10\x07\x12\x1a\n\x16\x45XECUTION_MODE_HOLDING\x10\x08\x12\x1a\n\x16\x45XECUTION_MODE_ABORTED\x10\t\x12\x19\n\x15\x45XECUTION_MODE_FALLEN\x10\n\x12\x17\n\x13\x45XECUTION_MODE_DONE\x10\x0b\x12\x17\n\x13\x45XECUTION_MODE_LOST\x10\x0c\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1aplanner/v1/execution.proto\x12\nplanner.v1\x1a\x1fgoogle/protobuf/timestamp.proto\"\xa1\x02\n\x0e\x45xecuteRequest\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\x12\x10\n\x08\x61pproval\x18\x03 \x01(\x0c\x12\x1c\n\x0fstart_tolerance\x18\x04 \x01(\x01H\x00\x88\x01\x01\x12\r\n\x05lease\x18\x05 \x01(\t\x12\x19\n\x11\x65xpected_revision\x18\x06 \x01(\x04\x12\x17\n\x0fwaits_for_start\x18\x07 \x01(\x08\x12\x11\n\tis_placed\x18\x08 \x01(\x08\x12 \n\x13\x61\x63\x63\x65pted_scan_age_s\x18\t \x01(\x01H\x01\x88\x01\x01\x12\x0f\n\x07lets_go\x18\n \x03(\tB\x12\n\x10_start_toleranceB\x16\n\x14_accepted_scan_age_s\">\n\x0f\x45xecuteResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\"|\n\x0e\x43ommandRequest\x12 \n\x05order\x18\x01 \x01(\x0e\x32\x11.planner.v1.Order\x12\x19\n\x11\x65xpected_revision\x18\x02 \x01(\x04\x12\r\n\x05lease\x18\x03 \x01(\t\x12\r\n\x05speed\x18\x04 \x01(\x01\x12\x0f\n\x07station\x18\x05 \x01(\t\"2\n\x0f\x43ommandResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\r\n\x05lease\x18\x02 \x01(\t\"?\n\x0cWatchRequest\x12\r\n\x05lease\x18\x01 \x01(\t\x12\x14\n\x07rate_hz\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\n\n\x08_rate_hz\"\x84\x02\n\rWatchResponse\x12\x10\n\x08revision\x18\x01 \x01(\x04\x12\x13\n\x0bis_snapshot\x18\x02 \x01(\x08\x12(\n\x04time\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12+\n\x06status\x18\x04 \x01(\x0b\x32\x1b.planner.v1.ExecutionStatus\x12$\n\x04plan\x18\x05 \x01(\x0b\x32\x16.planner.v1.LoadedPlan\x12*\n\x07\x63ontrol\x18\x06 \x01(\x0b\x32\x19.planner.v1.ControlHolder\x12#\n\x04pose\x18\x07 \x01(\x0b\x32\x15.planner.v1.RobotPose\"\x8e\x01\n\x0f\x45xecutionStatus\x12\'\n\x04mode\x18\x01 \x01(\x0e\x32\x19.planner.v1.ExecutionMode\x12\r\n\x05phase\x18\x02 \x01(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\x10\n\x08\x66indings\x18\x04 \x03(\t\x12\r\n\x05speed\x18\x05 \x01(\x01\x12\x12\n\nlast_order\x18\x06 \x01(\t\"\xcb\x01\n\nLoadedPlan\x12\x0f\n\x07plan_id\x18\x01 \x01(\t\x12\x19\n\x11trajectory_sha256\x18\x02 \x01(\t\x12\x1a\n\x12\x63\x65rtificate_sha256\x18\x03 \x01(\t\x12\x14\n\x0cscene_sha256\x18\x04 \x01(\t\x12\x0e\n\x06phases\x18\x05 \x03(\t\x12\x12\n\nduration_s\x18\x06 \x01(\x01\x12\x13\n\x0bjoint_names\x18\x07 \x03(\t\x12\x11\n\tunwatched\x18\x08 \x03(\t\x12\x13\n\x0bguards_json\x18\t \x01(\t\"m\n\rControlHolder\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07station\x18\x02 \x01(\t\x12)\n\x05since\x18\x03 \x01(\x0b\x32\x1a.google.protobuf.Timestamp\x12\x12\n\nis_present\x18\x04 \x01(\x08\"\xa5\x01\n\tRobotPose\x12\x0f\n\x07\x63lock_s\x18\x01 \x01(\x01\x12\x0c\n\x04rate\x18\x02 \x01(\x01\x12\x10\n\x08measured\x18\x03 \x03(\x02\x12\x0f\n\x07planned\x18\x04 \x03(\x02\x12\x15\n\rmeasured_base\x18\x05 \x03(\x02\x12\x14\n\x0cplanned_base\x18\x06 \x03(\x02\x12)\n\x06\x66orces\x18\x07 \x03(\x0b\x32\x19.planner.v1.MeasuredForce\"=\n\rMeasuredForce\x12\x0c\n\x04link\x18\x01 \x01(\t\x12\r\n\x05\x66orce\x18\x02 \x03(\x02\x12\x0f\n\x07planned\x18\x03 \x03(\x02*\xcc\x01\n\x05Order\x12\x15\n\x11ORDER_UNSPECIFIED\x10\x00\x12\x0f\n\x0bORDER_START\x10\x01\x12\x0f\n\x0bORDER_PAUSE\x10\x02\x12\x10\n\x0cORDER_RESUME\x10\x03\x12\x0e\n\nORDER_STOP\x10\x04\x12\x0f\n\x0bORDER_ABORT\x10\x05\x12\x0f\n\x0bORDER_SPEED\x10\x06\x12\x16\n\x12ORDER_TAKE_CONTROL\x10\x07\x12\x13\n\x0fORDER_TAKE_OVER\x10\x08\x12\x19\n\x15ORDER_RELEASE_CONTROL\x10\t*\xf4\x02\n\rExecutionMode\x12\x1e\n\x1a\x45XECUTION_MODE_UNSPECIFIED\x10\x00\x12\x17\n\x13\x45XECUTION_MODE_IDLE\x10\x01\x12\x1a\n\x16\x45XECUTION_MODE_LOADING\x10\x02\x12\x18\n\x14\x45XECUTION_MODE_READY\x10\x03\x12\x1a\n\x16\x45XECUTION_MODE_RUNNING\x10\x04\x12\x19\n\x15\x45XECUTION_MODE_PAUSED\x10\x05\x12\x1a\n\x16\x45XECUTION_MODE_WAITING\x10\x06\x12\x1c\n\x18\x45XECUTION_MODE_RETURNING\x10\x07\x12\x1a\n\x16\x45XECUTION_MODE_HOLDING\x10\x08\x12\x1a\n\x16\x45XECUTION_MODE_ABORTED\x10\t\x12\x19\n\x15\x45XECUTION_MODE_FALLEN\x10\n\x12\x17\n\x13\x45XECUTION_MODE_DONE\x10\x0b\x12\x17\n\x13\x45XECUTION_MODE_LOST\x10\x0c\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'planner.v1.execution_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_ORDER']._serialized_start=1614
-  _globals['_ORDER']._serialized_end=1818
-  _globals['_EXECUTIONMODE']._serialized_start=1821
-  _globals['_EXECUTIONMODE']._serialized_end=2193
+  _globals['_ORDER']._serialized_start=1631
+  _globals['_ORDER']._serialized_end=1835
+  _globals['_EXECUTIONMODE']._serialized_start=1838
+  _globals['_EXECUTIONMODE']._serialized_end=2210
   _globals['_EXECUTEREQUEST']._serialized_start=76
-  _globals['_EXECUTEREQUEST']._serialized_end=348
-  _globals['_EXECUTERESPONSE']._serialized_start=350
-  _globals['_EXECUTERESPONSE']._serialized_end=412
-  _globals['_COMMANDREQUEST']._serialized_start=414
-  _globals['_COMMANDREQUEST']._serialized_end=538
-  _globals['_COMMANDRESPONSE']._serialized_start=540
-  _globals['_COMMANDRESPONSE']._serialized_end=590
-  _globals['_WATCHREQUEST']._serialized_start=592
-  _globals['_WATCHREQUEST']._serialized_end=655
-  _globals['_WATCHRESPONSE']._serialized_start=658
-  _globals['_WATCHRESPONSE']._serialized_end=918
-  _globals['_EXECUTIONSTATUS']._serialized_start=921
-  _globals['_EXECUTIONSTATUS']._serialized_end=1063
-  _globals['_LOADEDPLAN']._serialized_start=1066
-  _globals['_LOADEDPLAN']._serialized_end=1269
-  _globals['_CONTROLHOLDER']._serialized_start=1271
-  _globals['_CONTROLHOLDER']._serialized_end=1380
-  _globals['_ROBOTPOSE']._serialized_start=1383
-  _globals['_ROBOTPOSE']._serialized_end=1548
-  _globals['_MEASUREDFORCE']._serialized_start=1550
-  _globals['_MEASUREDFORCE']._serialized_end=1611
+  _globals['_EXECUTEREQUEST']._serialized_end=365
+  _globals['_EXECUTERESPONSE']._serialized_start=367
+  _globals['_EXECUTERESPONSE']._serialized_end=429
+  _globals['_COMMANDREQUEST']._serialized_start=431
+  _globals['_COMMANDREQUEST']._serialized_end=555
+  _globals['_COMMANDRESPONSE']._serialized_start=557
+  _globals['_COMMANDRESPONSE']._serialized_end=607
+  _globals['_WATCHREQUEST']._serialized_start=609
+  _globals['_WATCHREQUEST']._serialized_end=672
+  _globals['_WATCHRESPONSE']._serialized_start=675
+  _globals['_WATCHRESPONSE']._serialized_end=935
+  _globals['_EXECUTIONSTATUS']._serialized_start=938
+  _globals['_EXECUTIONSTATUS']._serialized_end=1080
+  _globals['_LOADEDPLAN']._serialized_start=1083
+  _globals['_LOADEDPLAN']._serialized_end=1286
+  _globals['_CONTROLHOLDER']._serialized_start=1288
+  _globals['_CONTROLHOLDER']._serialized_end=1397
+  _globals['_ROBOTPOSE']._serialized_start=1400
+  _globals['_ROBOTPOSE']._serialized_end=1565
+  _globals['_MEASUREDFORCE']._serialized_start=1567
+  _globals['_MEASUREDFORCE']._serialized_end=1628
 # @@protoc_insertion_point(module_scope)

@@ -63,7 +63,7 @@ EXECUTION_MODE_DONE: ExecutionMode
 EXECUTION_MODE_LOST: ExecutionMode
 
 class ExecuteRequest(_message.Message):
-    __slots__ = ("plan_id", "trajectory_sha256", "approval", "start_tolerance", "lease", "expected_revision", "waits_for_start", "is_placed", "accepted_scan_age_s")
+    __slots__ = ("plan_id", "trajectory_sha256", "approval", "start_tolerance", "lease", "expected_revision", "waits_for_start", "is_placed", "accepted_scan_age_s", "lets_go")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
     APPROVAL_FIELD_NUMBER: _ClassVar[int]
@@ -73,6 +73,7 @@ class ExecuteRequest(_message.Message):
     WAITS_FOR_START_FIELD_NUMBER: _ClassVar[int]
     IS_PLACED_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_SCAN_AGE_S_FIELD_NUMBER: _ClassVar[int]
+    LETS_GO_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     trajectory_sha256: str
     approval: bytes
@@ -82,7 +83,8 @@ class ExecuteRequest(_message.Message):
     waits_for_start: bool
     is_placed: bool
     accepted_scan_age_s: float
-    def __init__(self, plan_id: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., approval: _Optional[bytes] = ..., start_tolerance: _Optional[float] = ..., lease: _Optional[str] = ..., expected_revision: _Optional[int] = ..., waits_for_start: bool = ..., is_placed: bool = ..., accepted_scan_age_s: _Optional[float] = ...) -> None: ...
+    lets_go: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, plan_id: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., approval: _Optional[bytes] = ..., start_tolerance: _Optional[float] = ..., lease: _Optional[str] = ..., expected_revision: _Optional[int] = ..., waits_for_start: bool = ..., is_placed: bool = ..., accepted_scan_age_s: _Optional[float] = ..., lets_go: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ExecuteResponse(_message.Message):
     __slots__ = ("revision", "trajectory_sha256")

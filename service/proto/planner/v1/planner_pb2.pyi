@@ -537,7 +537,7 @@ class GetPlanResponse(_message.Message):
     def __init__(self, record: _Optional[_Union[PlanRecord, _Mapping]] = ..., file: _Optional[_Union[_result_pb2.FileChunk, _Mapping]] = ...) -> None: ...
 
 class PlanRecord(_message.Message):
-    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished", "reason", "page_sha256")
+    __slots__ = ("plan_id", "request_id", "state", "result", "reviews", "is_approved", "created", "finished", "reason", "page_sha256", "needs_review")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
@@ -548,6 +548,7 @@ class PlanRecord(_message.Message):
     FINISHED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     PAGE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    NEEDS_REVIEW_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     request_id: str
     state: PlanState
@@ -558,7 +559,8 @@ class PlanRecord(_message.Message):
     finished: _timestamp_pb2.Timestamp
     reason: str
     page_sha256: str
-    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ..., page_sha256: _Optional[str] = ...) -> None: ...
+    needs_review: bool
+    def __init__(self, plan_id: _Optional[str] = ..., request_id: _Optional[str] = ..., state: _Optional[_Union[PlanState, str]] = ..., result: _Optional[_Union[_result_pb2.MotionResult, _Mapping]] = ..., reviews: _Optional[_Iterable[_Union[Review, _Mapping]]] = ..., is_approved: bool = ..., created: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., finished: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., reason: _Optional[str] = ..., page_sha256: _Optional[str] = ..., needs_review: bool = ...) -> None: ...
 
 class ListPlansRequest(_message.Message):
     __slots__ = ("state", "since", "task", "needs_review", "page_size", "page_token")

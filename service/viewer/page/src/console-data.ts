@@ -18,8 +18,9 @@ export interface Risk {
 export interface Group { phase: string; open: number[]; passed: number[] }
 export interface Plan extends ReviewedRow {
   explanation: string[]; checks: JudgedCheck[]; risks: Risk[]; assumed: string[]; not_checked: string[]; groups: Group[];
-  duration_s: number | null; planning_time_s: number; has_page: boolean;
+  duration_s: number | null; planning_time_s: number; has_page: boolean; releases: Record<string, string>;
 }
+export interface Physics { verdict: string; explanation: string[] }
 export interface Job {
   job: number; task: string; state: string; step: string; fraction: number; plan_id: string; verdict: string; error: string;
 }
@@ -51,7 +52,8 @@ export const UNDER_WAY = ["ready", "running", "paused", "waiting", "returning", 
 // What the robot is, in one line.
 export function sayRobot(state: RobotState): string {
   const parts = [];
-  if (state.plan_id) parts.push(`${state.phase || "no phase"} · ${state.clock_s.toFixed(1)} of ${state.duration_s.toFixed(1)} s`);
+  const place = state.phases.indexOf(state.phase);
+  if (state.plan_id) parts.push(`${place >= 0 ? `step ${place + 1} of ${state.phases.length}, ` : ""}${state.phase || "no phase"} · ${state.clock_s.toFixed(1)} of ${state.duration_s.toFixed(1)} s`);
   if (state.speed !== 1 && UNDER_WAY.includes(state.mode)) parts.push(`at ${Math.round(100 * state.speed)} %`);
   if (state.farthest) parts.push(`${state.farthest.joint} is ${state.farthest.off.toFixed(3)} off`);
   return [...parts, state.reason, ...state.findings].filter(Boolean).join(" · ");

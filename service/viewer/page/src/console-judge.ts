@@ -1,11 +1,12 @@
 // One plan as the operator judges it: risk first, what is assumed, checks by phase, and the decision.
-import { Plan, ReviewedRow, standingOfRow } from "./console-data";
+import { Physics, Plan, ReviewedRow, standingOfRow } from "./console-data";
 import { button, el, figure, seconds, title, words } from "./dom";
 import { tone } from "./header";
 
 const MARKS = { proven: "✓", "at samples": "✓", unproven: "?", refuted: "✕" };
 const KINDS = { proven: "ok", "at samples": "ok", unproven: "unsure", refuted: "fail" };
 const GOOD = "CERTIFIED";
+const PHYSICS: Record<string, string> = { DONE: "good", STOOD: "fair", FELL: "bad" };
 
 export interface Decision { accept: boolean; comment: string; despite: string }
 
@@ -21,11 +22,14 @@ export class Judge {
   private readonly comment = el("textarea", "comment");
   private readonly despite = el("input", "despite");
 
-  constructor(private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<ReviewedRow>) {
+  constructor(
+    private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<ReviewedRow>,
+    simulate: () => Promise<Physics>,
+  ) {
     const { verdict } = plan;
     const badge = el("div", `verdict ${tone(verdict)}`, words(verdict));
     const lasts = plan.duration_s === null ? "no motion" : `lasts ${seconds(plan.duration_s)}`;
-    this.element.append(el("div", "sum", badge, el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)));
+    this.element.append(el("div", "sum", badge, this.physics(simulate), el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)));
     if (plan.explanation.length > 0) {
       this.element.append(section("What stands in the way", el("ul", "why", ...plan.explanation.map((line) => el("li", "", line)))));
     }
@@ -34,6 +38,22 @@ export class Judge {
     if (assumed.length > 0) this.element.append(section("Assumed, and not checked", el("ul", "notes", ...assumed.map((line) => el("li", "", line)))));
     if (plan.checks.length > 0) this.element.append(this.checks());
     this.element.append(this.decision(decide));
+  }
+
+  // The verdict of physics beside that of the certificate; asked for by a button, since it takes as long as the motion.
+  private physics(simulate: () => Promise<Physics>): HTMLElement {
+    const place = el("span", "physics");
+    const ask = button("no", "Physics", "Carry the motion out in a physics engine", () => {
+      ask.disabled = true;
+      ask.textContent = "in physics …";
+      simulate().then(({ verdict, explanation }) => {
+        const badge = el("div", `verdict ${PHYSICS[verdict] ?? "bad"}`, `physics: ${verdict}`);
+        badge.title = explanation.join("; ");
+        place.replaceChildren(badge);
+      }, (error: unknown) => place.replaceChildren(el("span", "soft bad", error instanceof Error ? error.message : String(error))));
+    });
+    if (this.plan.duration_s !== null && this.plan.has_page) place.append(ask);
+    return place;
   }
 
   private risk(index: number, name: string, { value, unit, standing, text, count }: Plan["risks"][number]): HTMLElement {
@@ -108,4 +128,19 @@ export class Judge {
     this.said.textContent = text;
     this.said.className = `said ${kind}`;
   }
+}
+
+// Verdict, duration and risks of two plans in two columns, the judged one first.
+export function compareRisks(own: Plan, other: Plan): HTMLElement {
+  const cell = (plan: Plan, name: string): string => {
+    const risk = plan.risks.find((one) => one.title === name);
+    return !risk || risk.value === null ? "–" : `${figure(risk.value, risk.unit)} ${MARKS[risk.standing]}`;
+  };
+  const lasts = (plan: Plan): string => (plan.duration_s === null ? "–" : seconds(plan.duration_s));
+  const names = [...new Set([...own.risks, ...other.risks].map((risk) => risk.title))];
+  const rows = [
+    ["", "this plan", "the other"], ["verdict", words(own.verdict), words(other.verdict)], ["lasts", lasts(own), lasts(other)],
+    ...names.map((name) => [name, cell(own, name), cell(other, name)]),
+  ];
+  return el("table", "compared", ...rows.map((row) => el("tr", "", ...row.map((text) => el("td", "", text)))));
 }

@@ -8,6 +8,11 @@ export type State = "connecting" | "open" | "lost" | "login" | "stale";
 interface Answer { id?: number | null; result?: unknown; error?: string; code?: string; event?: string; refused?: string }
 interface Waiting { resolve(result: unknown): void; reject(error: OrderError): void }
 
+// A page whose address ends in #slow is on a slow line: few points, one measured pose a second, lists seldom.
+export const IS_SLOW = location.hash === "#slow";
+const FEW_POINTS = 1500;
+export const points = (): Record<string, number> => (IS_SLOW ? { most_points: FEW_POINTS } : {});
+
 const ENDED = 4401;
 const OTHER_VERSION = 4409;
 const AGAIN_MS = [300, 1000, 2000, 4000];
@@ -59,7 +64,7 @@ export class Link {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/orders`);
     this.socket = socket;
     let why = "the connection to the console was lost";
-    socket.onopen = () => socket.send(JSON.stringify({ hello: { version: this.version, forgery } }));
+    socket.onopen = () => socket.send(JSON.stringify({ hello: { version: this.version, forgery, is_slow: IS_SLOW } }));
     socket.onmessage = (message) => {
       const answer = JSON.parse(message.data as string) as Answer;
       if (answer.refused !== undefined) why = answer.refused;

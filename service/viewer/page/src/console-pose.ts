@@ -2,7 +2,7 @@
 import { Job, OLD_SCAN_S, RobotState, ScanCloud, Tabs, ago } from "./console-data";
 import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
-import { Link } from "./console-link";
+import { Link, points } from "./console-link";
 import { Moved, NudgePanel } from "./console-nudge";
 import { Measured, OpenedPose, Pose, Target, middleOfHands } from "./console-pose-data";
 import { PoseView } from "./console-pose-view";
@@ -91,7 +91,7 @@ export class PoseTab {
     this.say(this.scan === NONE ? "opening" : "reading the scan", "");
     const where = { scan: this.scan || null, robot: this.robot, posture: this.posture || null };
     try {
-      const scan = this.scan === NONE ? null : await this.link.order<ScanCloud>("scan", where);
+      const scan = this.scan === NONE ? null : await this.link.order<ScanCloud>("scan", { ...where, ...points() });
       const opened = await this.link.order<OpenedPose>("pose_open", where);
       if (asked !== this.asked || !this.element.isConnected) return;
       this.opened = opened;

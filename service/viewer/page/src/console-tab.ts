@@ -4,7 +4,7 @@ import {
 } from "./console-data";
 import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
-import { Link } from "./console-link";
+import { Link, points } from "./console-link";
 import { ScanView } from "./console-scan";
 import { button, el, words } from "./dom";
 
@@ -105,7 +105,7 @@ export class TabView {
     const asked = ++this.asked;
     this.say("reading the scan", "");
     try {
-      const scan = await this.link.order<ScanCloud>("scan", this.stood());
+      const scan = await this.link.order<ScanCloud>("scan", { ...this.stood(), ...points() });
       if (asked !== this.asked || !this.element.isConnected) return;
       this.view = new ScanView(scan.cloud, this.host);
       this.view.onClick = (at) => void this.detect(at);

@@ -1,7 +1,8 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
-import { Job, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
-import { Judge, section } from "./console-judge";
-import { Link, State } from "./console-link";
+import { Job, Physics, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
+import { choice } from "./console-fields";
+import { Judge, compareRisks, section } from "./console-judge";
+import { IS_SLOW, Link, State } from "./console-link";
 import { Measured } from "./console-pose-data";
 import { PoseTab } from "./console-pose";
 import { RobotStrip } from "./console-robot";
@@ -9,8 +10,9 @@ import { TabView } from "./console-tab";
 import { button, el, words } from "./dom";
 
 interface Settings { version: string; server: string }
-const REFRESH_MS = 5000;
+const REFRESH_MS = IS_SLOW ? 30_000 : 5000;
 const INBOX = "inbox";
+const MOST_AGE_S = 7 * 86400;  // of a scan that an operator may find to be right still
 const POSE = "pose tab";  // no task file is called so
 
 const saidBy = (error: unknown): string => (error instanceof Error ? error.message : String(error));
@@ -29,6 +31,7 @@ class ConsolePage {
   private readonly login = el("form", "login");
   private readonly where = el("span", "says");
   private frame: HTMLIFrameElement | null = null;
+  private beside: HTMLIFrameElement | null = null;
   private tabs: Tabs = { tabs: [], robots: [], scans: [] };
   private rows: Row[] = [];
   private active = INBOX;
@@ -120,7 +123,8 @@ class ConsolePage {
   private async refresh(): Promise<void> {
     if (this.link.state !== "open") return;
     try {
-      [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), this.link.order<Tabs>("tabs")]);
+      const tabs = IS_SLOW && this.tabs.tabs.length > 0 ? this.tabs : this.link.order<Tabs>("tabs");
+      [this.rows, this.tabs] = await Promise.all([this.link.order<Row[]>("inbox"), tabs]);
       if (this.link.state === "open") this.say("", this.notice);
     } catch (error) {
       // A caller of the wrong role, or a planning server that does not answer: the console itself does.
@@ -181,8 +185,8 @@ class ConsolePage {
     this.tab = null;
     this.pose?.close();
     this.pose = null;
-    this.frame?.remove();
-    this.frame = null;
+    this.frame = this.beside = null;
+    this.view.classList.remove("two");
     this.shown = "";
     this.view.replaceChildren();
   }
@@ -208,32 +212,66 @@ class ConsolePage {
       });
       void this.refresh();
       return row;
-    });
-    this.scroll.replaceChildren(judge.element, this.execution(plan, judge));
+    }, () => this.link.order<Physics>("simulate", { plan_id: plan.plan_id }));
+    this.scroll.replaceChildren(judge.element, this.compare(plan), this.execution(plan, judge));
     if (!plan.has_page) {
       this.view.append(el("p", "broken", "This plan has no page; it was asked for without files."));
       return;
     }
-    // The very page whose hash the approval has; it cannot reach this one.
-    this.frame = el("iframe", "viewer");
-    this.frame.setAttribute("sandbox", "allow-scripts allow-downloads");
-    this.frame.title = `Motion of plan ${plan.plan_id}`;
-    this.frame.src = this.addressOf(plan.plan_id, "panel=0");
+    this.frame = this.makeFrame(plan.plan_id);
     this.view.append(this.frame);
+  }
+
+  // The very page whose hash the approval has; it cannot reach this one.
+  private makeFrame(planId: string): HTMLIFrameElement {
+    const frame = el("iframe", "viewer");
+    frame.setAttribute("sandbox", "allow-scripts allow-downloads");
+    frame.title = `Motion of plan ${planId}`;
+    frame.src = this.addressOf(planId, "panel=0");
+    return frame;
+  }
+
+  // Another plan beside the one that is judged: its motion, and its risks against those of this one.
+  private compare(plan: Plan): HTMLElement {
+    const others = this.rows.filter((row) => row.plan_id !== plan.plan_id && row.verdict !== "");
+    const table = el("div", "compared");
+    const pick = choice("compare with", [["", "no other plan"], ...others.map((row): [string, string] => [row.plan_id, [words(row.verdict), words(row.task ?? ""), row.created.slice(11, 19)].join(" · ")])], "", (id) => {
+      this.beside?.remove();
+      this.beside = null;
+      this.view.classList.toggle("two", id !== "");
+      table.replaceChildren();
+      if (id === "") return;
+      this.link.order<Plan>("open", { plan_id: id }).then((other) => {
+        if (this.shown !== plan.plan_id || pick.value !== id) return;
+        if (other.has_page) this.view.append(this.beside = this.makeFrame(id));
+        table.replaceChildren(compareRisks(plan, other));
+      }, (error: unknown) => table.replaceChildren(el("p", "said bad", saidBy(error))));
+    });
+    return section("Beside another plan", pick, table);
   }
 
   // The button that has the robot carry out exactly this motion, once it is accepted and this page has control.
   private execution(plan: Plan, judge: Judge): HTMLElement {
     const placed = el("input");
-    placed.type = "checkbox";
+    const old = el("input");
+    placed.type = old.type = "checkbox";
+    // An object is let go only once its own box is ticked: no hand opens by the way.
+    const releases = Object.entries(plan.releases).map(([name, phase]) => {
+      const box = el("input");
+      box.type = "checkbox";
+      box.addEventListener("change", () => refresh());
+      return { name, box, label: el("label", "placed lets-go", box, ` the hand may let go of ${name} in ${words(phase)}`) };
+    });
     const go = button("yes", "Execute", "Have the robot carry out exactly this motion", () => void this.robot.order("execute", {
       plan_id: plan.plan_id, trajectory_sha256: plan.trajectory_sha256, revision: this.robot.revision, is_placed: placed.checked,
+      scan_age_s: old.checked ? MOST_AGE_S : null, lets_go: releases.filter(({ box }) => box.checked).map(({ name }) => name),
     }));
     const why = el("p", "soft");
-    const part = section("Robot", why, el("label", "placed", placed, " put a simulated robot at the start first"), el("div", "buttons", go));
+    const part = section("Robot", why, ...releases.map(({ label }) => label), el("label", "placed", placed, " put a simulated robot at the start first"),
+      el("label", "placed", old, " I have compared the scan with what is there; its age is right"), el("div", "buttons", go));
     const refresh = (): void => {
       part.hidden = !this.robot.state?.is_there;
-      const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : "";
+      const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : releases.some(({ box }) => !box.checked) ? "confirm what the hand lets go first" : "";
       go.disabled = reason !== "";
       why.textContent = reason;
     };
