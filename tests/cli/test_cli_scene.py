@@ -418,7 +418,7 @@ def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser
         "detections": [{**hit, "residuals": residuals, "points": quantize(np.zeros((1, 3)))}]
     }
     (tmp_path / "a.html").write_text(render_page(payload, "a", "scene"))
-    browser.open((tmp_path / "a.html").as_uri())
+    browser.open((tmp_path / "a.html").as_uri(), is_drawn=False)
     browser.settle()
     text = browser.run("document.querySelector('.check .residuals').innerText")
     assert text == "residuals: rms 2 mm · axis spread 0.573° · air 50 % · ends seen 2 · rival ratio 0.25"
@@ -444,7 +444,7 @@ def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Brow
     hit = {"confidence": 1.0, "pose_world_object": np.eye(4).tolist(), "residuals": {}}
     hits = [{**hit, "kind": kind, "sizes": of, "points": quantize(np.zeros((1, 3)))} for kind, of in sizes.items()]
     (tmp_path / "a.html").write_text(render_page(make_scene_payload(seen, "a") | {"detections": hits}, "a", "scene"))
-    browser.open((tmp_path / "a.html").as_uri())
+    browser.open((tmp_path / "a.html").as_uri(), is_drawn=False)
     browser.settle()
     door, panel, drill = (np.reshape(browser.run(f"window.__viewer.outlineOf({i})"), (-1, 2, 3)) for i in range(3))
     for outline, line in [
@@ -463,7 +463,7 @@ def test_the_page_outlines_what_is_there_to_be_gripped_and_pressed(browser: Brow
 
 def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
     out, printed = written
-    browser.open(out.with_suffix(".html").as_uri())
+    browser.open(out.with_suffix(".html").as_uri(), is_drawn=False)
     browser.run("document.querySelector('.check').click()")
     browser.settle()
     place = [row[3] for row in printed["detections"][0]["pose_world_object"][:3]]
@@ -529,7 +529,7 @@ def test_pieces_can_be_coloured_by_what_rays_say_of_them(
 def test_a_hostile_name_is_only_text(browser: Browser, scan: Path, tmp_path: Path) -> None:
     out = tmp_path / "<img src=x onerror=alert(1)>.json"
     assert scopt("scene", scan, "--out", out).exit_code == 0
-    browser.open(out.with_suffix(".html").as_uri())
+    browser.open(out.with_suffix(".html").as_uri(), is_drawn=False)
     assert browser.run("document.querySelector('h1').textContent") == out.stem
     assert browser.run("document.querySelectorAll('img').length") == 0
     assert browser.complaints() == []

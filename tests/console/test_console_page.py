@@ -111,7 +111,7 @@ def test_an_operator_logs_in_plans_a_task_of_their_own_and_decides_about_it(brow
 
 def test_a_page_of_another_origin_reaches_nothing(browser: Browser, desk: Desk) -> None:
     # The same server under its other name, in the same browser: another origin.
-    browser.open(desk.url.replace("127.0.0.1", "localhost"))
+    browser.open(desk.url.replace("127.0.0.1", "localhost"), is_drawn=False)
     orders = desk.url.replace("http", "ws") + "orders"
     opened = f"new Promise((done) => {{ const s = new WebSocket({json.dumps(orders)}); "
     opened += "s.onopen = () => done('open'); s.onerror = () => done('refused'); })"
@@ -121,7 +121,7 @@ def test_a_page_of_another_origin_reaches_nothing(browser: Browser, desk: Desk) 
 
 
 def test_who_may_not_review_is_told_so(browser: Browser, desk: Desk) -> None:
-    browser.open(desk.url)
+    browser.open(desk.url, is_drawn=False)
     wait(browser, "document.querySelectorAll('.row').length > 0")
     plan_id = browser.run("document.querySelector('.row .id').textContent")
     click(browser, ".tools button", "Log out")

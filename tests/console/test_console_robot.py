@@ -122,7 +122,7 @@ def test_an_accepted_plan_is_carried_out_and_what_others_change_is_shown_until_i
     target: str, made: FinishedPlan, tmp_path: Path
 ) -> None:
     with console_of(target, tmp_path) as url, open_browser(tmp_path / "p", (1280, 800)) as browser:
-        browser.open(url)
+        browser.open(url, is_drawn=False)
         wait(browser, "window.__viewer.robot?.mode === 'idle'")
         browser.run(f"window.__viewer.open('{made.plan_id}')")
         click(browser, ".judge .yes", "Accept")

@@ -175,7 +175,7 @@ def test_the_page_draws_loads_regions_forces_and_cones_without_complaint(browser
 
 @pytest.mark.parametrize("time", [3.5, 5.0])
 def test_the_bar_rides_on_the_leaf(browser: Browser, page: str, time: float) -> None:
-    browser.open(page + f"#t={time}&camera=top")
+    browser.open(page + f"#t={time}&camera=top", is_drawn=False)
     placed = place_movables(door(N), N)
     for column, link in enumerate(placed.links):
         expected = browser.run(f"window.__viewer.project({placed.poses[int(10 * time), column, :3].tolist()})")
@@ -234,7 +234,7 @@ def test_region_and_contact_forces_are_drawn_and_told_what_they_are(browser: Bro
 
 
 def test_the_joints_of_what_is_moved_are_curves_under_the_time_bar(browser: Browser, page: str) -> None:
-    browser.open(page)
+    browser.open(page, is_drawn=False)
     notes = browser.run("[...document.querySelectorAll('.curve.moved .note')].map((e) => e.textContent)")
     assert notes == ["door/leaf joint: 11.5° to 68.8°", "door/bar joint: 0 mm to 30 mm"]
     lines = {line["name"]: line["points"] for plot in browser.run("window.__viewer.plots") for line in plot}
@@ -243,7 +243,7 @@ def test_the_joints_of_what_is_moved_are_curves_under_the_time_bar(browser: Brow
 
 
 def test_without_bars_the_scene_fills_the_page(browser: Browser, page: str) -> None:
-    browser.open(page + "#bars=0")
+    browser.open(page + "#bars=0", is_drawn=False)
     browser.settle()
     box = browser.run("document.querySelector('.viewport').getBoundingClientRect().toJSON()")
     assert (box["width"], box["height"]) == (900, 640)

@@ -85,7 +85,7 @@ def test_a_result_with_a_motion_has_no_such_end(results):
 @pytest.mark.parametrize("name", REFUSED)
 def test_the_page_draws_the_goal_and_names_what_it_is_in(browser, pages, results, name):
     browser.size(800, 600)
-    browser.open(pages[name] + "#theme=light")
+    browser.open(pages[name] + "#theme=light", is_drawn=False)
     obstruction = results[name].obstruction
     counts = browser.run("window.__viewer.counts")
     drawn = {one["link"] for one in obstruction["links"]}
@@ -114,7 +114,7 @@ def test_the_links_in_collision_are_red_at_the_goal(browser, pages):
 @pytest.mark.parametrize("name", ["atlas waves", "atlas in a table", "into a wall"])
 def test_links_without_a_shape_are_listed_and_crossed(browser, pages, results, name):
     browser.size(800, 600)
-    browser.open(pages[name])
+    browser.open(pages[name], is_drawn=False)
     expected = links_without_shape(results[name].robot)
     shaped = {body.link for body in results[name].robot.bodies}
     assert shaped.isdisjoint(expected)
@@ -131,7 +131,7 @@ def test_links_without_a_shape_are_listed_and_crossed(browser, pages, results, n
 @pytest.mark.parametrize("name", ["atlas waves", "through a wall", "into a wall"])
 def test_on_a_phone_the_panel_is_below_the_view_and_everything_fits(browser, pages, name):
     browser.size(*PHONE)
-    browser.open(pages[name])
+    browser.open(pages[name], is_drawn=False)
     browser.settle()
     view, panel = box(browser, ".viewport"), box(browser, ".panel")
     assert panel["top"] >= view["bottom"]
@@ -146,7 +146,7 @@ def test_on_a_phone_the_panel_is_below_the_view_and_everything_fits(browser, pag
 
 def test_on_a_phone_every_button_can_be_reached_and_the_menu_opens_and_closes(browser, pages):
     browser.size(*PHONE)
-    browser.open(pages["atlas waves"])
+    browser.open(pages["atlas waves"], is_drawn=False)
     rects = browser.run("[...document.querySelectorAll('.top button')].map((e) => e.getBoundingClientRect().toJSON())")
     assert len(rects) == 9
     for rect in rects:
@@ -164,7 +164,7 @@ def test_on_a_phone_every_button_can_be_reached_and_the_menu_opens_and_closes(br
 
 def test_on_a_phone_names_are_not_cut_off(browser, pages):
     browser.size(*PHONE)
-    browser.open(pages["atlas waves"])
+    browser.open(pages["atlas waves"], is_drawn=False)
     cut = browser.run(
         "[...document.querySelectorAll("
         "'.check .name, .notes li, .layer .name, .chip b, .chip small, .curve .note, dd')]"
@@ -178,7 +178,7 @@ def test_on_a_phone_names_are_not_cut_off(browser, pages):
 
 def test_on_a_phone_a_check_is_shown_in_the_view_while_the_list_stays(browser, pages):
     browser.size(*PHONE)
-    browser.open(pages["through a wall"])
+    browser.open(pages["through a wall"], is_drawn=False)
     browser.run("document.querySelector('.check.fail').click()")
     browser.settle()
     view, label = box(browser, ".viewport"), box(browser, ".label.bad:not([hidden])")

@@ -132,7 +132,7 @@ def test_a_push_that_holds_is_green_while_its_phase_lasts_and_z_hides_it(browser
     browser.open(page + "1&bars=0")
     assert legends(browser) == []
     assert count(browser, GREEN) == 0
-    browser.open(page + "4")
+    browser.open(page + "4", is_drawn=False)
     assert legends(browser) == [
         "the rod on rim/0: friction 0.3 (cone) to 0.6 (outline), normal 20° off the way of joint valve_turn (arrow)"
     ]
@@ -150,7 +150,7 @@ def test_a_push_that_holds_is_green_while_its_phase_lasts_and_z_hides_it(browser
 def test_a_push_that_fails_or_is_not_proven_says_so(
     browser: Browser, tmp_path: Path, ok: bool, basis: str, ending: str
 ) -> None:
-    browser.open(write_page(tmp_path, ok, basis) + "4")
+    browser.open(write_page(tmp_path, ok, basis) + "4", is_drawn=False)
     (text,) = legends(browser)
     assert text.endswith(f"(arrow){ending}")
     browser.open(write_page(tmp_path, ok, basis) + "4&bars=0")
@@ -171,5 +171,5 @@ def test_a_plan_without_a_motion_has_its_reason_as_headline(browser: Browser, tm
         result[key] = None
     start = type(placements)(placements.links, placements.poses[:1])
     write_viewer(result, start, tmp_path / "refused.html")
-    browser.open((tmp_path / "refused.html").as_uri())
+    browser.open((tmp_path / "refused.html").as_uri(), is_drawn=False)
     assert browser.run("document.querySelector('.says').textContent") == "l_hand enters 'crate' by 12 mm"
