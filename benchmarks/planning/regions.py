@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.planning.regions [--count N] [--seed S] [--groups cup tray keep goals]``
 
-A Panda among a pole and two boxes, from the folder ``SCOPT_DATA``.  Start and goal are found by inverse kinematics with
-the hand upright within the tolerance, both clear; whether a motion exists between them is not known beforehand.
+A Panda among a pole and two boxes, from the folder ``SCOPT_DATA``.  At start and goal the hand is upright, and both are
+clear; whether a motion exists between them is not known beforehand.
 
 - cup: the hand's axis stays within 5 to 15 deg of upright, its position is free.
 - tray: the same within 3 to 6 deg, at a height within 15 cm of the start and of the goal, along a part of the motion.
@@ -28,7 +28,7 @@ from benchmarks.tables import print_table
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import RobotModel
 from scopt import EffortClock
-from service import PoseGoalRequest, solve_ik
+from service import clearance
 from service.planner import plan
 from service.request.file import parse_request
 from service.setup.world import build_obstacles
@@ -38,7 +38,8 @@ HAND = "panda_hand"
 DOWN = Rotation.from_euler("x", 180.0, degrees=True)
 LOW, HIGH = np.array([0.3, -0.5, 0.25]), np.array([0.65, 0.5, 0.7])  # of the hand [m]
 LEAST_APART_M = 0.35
-CLEAR_M = 0.03  # of both ends
+DRAWN = {0: (-1.2, 1.2), 1: (-0.9, 0.5), 3: (-2.6, -1.4), 6: (-1.5, 2.5)}  # joints of both ends [rad]
+CLEAR_M = 0.003  # of both ends, own links included
 COLUMNS = ("group", "plans", "certified", "CPU median [s]", "CPU max [s]")
 Draw = Callable[[np.random.Generator, dict[str, Any], Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]], None]
 
@@ -65,29 +66,23 @@ def draw_problem(
     rng: np.random.Generator, robot: RobotModel, files: Mapping[str, Any]
 ) -> tuple[dict[str, Any], Float[np.ndarray, "4 4"], Float[np.ndarray, "4 4"]]:
     """Return a request with a joint goal between two poses of the upright hand, and ``pose_world_hand`` at both."""
+    engine = KinematicsEngine(robot)
     while True:
         data: dict[str, Any] = {"robot": dict(files), "scene": {"floor": False, "obstacles": draw_scene(rng)}}
         request = parse_request({**data, "goal": {"joints": {robot.joint_names[0]: 0.0}}})
         pieces = build_obstacles(request)[0]
-        places = rng.uniform(LOW, HIGH, (2, 3))
-        if np.linalg.norm(places[1] - places[0]) < LEAST_APART_M:
-            continue
-        ends: list[np.ndarray] = []
-        for place in places:
-            turned = (DOWN * Rotation.from_euler("z", rng.uniform(-180.0, 180.0), degrees=True)).as_quat(
-                scalar_first=True
-            )
-            pose = PoseGoalRequest(HAND, tuple(place.tolist()), tuple(turned.tolist()), 0.002, 0.3, "z")
-            near = ends[0] if ends else np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.7, 0.8])
-            found = solve_ik(robot, [pose], pieces, near, count=1, time_limit_s=20.0)
-            ends += [each.q for each in found if each.clearance.distance_m > CLEAR_M]
-        if len(ends) < 2:
-            continue
-        engine = KinematicsEngine(robot)
+        ends = np.zeros((2, robot.n))
+        for column, (low, high) in DRAWN.items():
+            ends[:, column] = rng.uniform(low, high, 2)
+        ends[:, 5] = ends[:, 1] - ends[:, 3]  # the hand points down
         first, last = (locate_links(engine, q, [HAND])[HAND] for q in ends)
+        if np.linalg.norm(last[:3, 3] - first[:3, 3]) < LEAST_APART_M:
+            continue
+        if min(clearance(robot, q, pieces).distance_m for q in ends) <= CLEAR_M:
+            continue
         names = robot.joint_names
-        data["start"] = {"joints": dict(zip(names, ends[0].tolist(), strict=True))}
-        data["goal"] = {"joints": dict(zip(names, ends[1].tolist(), strict=True))}
+        data["start"] = {"joints": dict(zip(names, ends[0].tolist(), strict=False))}
+        data["goal"] = {"joints": dict(zip(names, ends[1].tolist(), strict=False))}
         return data, first, last
 
 

@@ -27,7 +27,7 @@ AT_WAYPOINTS = 1e-4  # tolerance of the optimiser's rows [m, rad]
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Limit:
     """One limit of a region: rows in a box, or vectors of ``k`` rows in a ball about zero.
 
     Attributes:
@@ -52,7 +52,7 @@ class _Part:
         half = 0.5 * float((self.upper - self.lower).max()) if self.ball is None else self.ball
         return half <= most
 
-    def shrink(self, reserve: Float[np.ndarray, "k"]) -> _Part:
+    def shrink(self, reserve: Float[np.ndarray, "k"]) -> _Limit:
         """Return the part with its limits moved inwards by a reserve."""
         ball = None if self.ball is None else self.ball - float(reserve[0])
         lower = np.where(self.lower > -FAR, self.lower + reserve, self.lower)
@@ -79,7 +79,7 @@ class _Part:
         return BeyondBall(self.residual, len(self.lower), self.ball)
 
 
-def _list_parts(robot: RobotModel, target: RegionTarget, waypoints: Int[np.ndarray, "S"]) -> Iterator[_Part]:
+def _list_parts(robot: RobotModel, target: RegionTarget, waypoints: Int[np.ndarray, "S"]) -> Iterator[_Limit]:
     frame, reference = target.frame, target.reference
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = target.rotation, target.position
@@ -88,13 +88,13 @@ def _list_parts(robot: RobotModel, target: RegionTarget, waypoints: Int[np.ndarr
     def rows(axes: Sequence[bool]) -> FramePose:
         return FramePose(robot, frame, waypoints, pose, axes, reference)
 
-    def ball(title: str, unit: str, residual: Residual[MotionState], k: int, limit: float) -> _Part:
-        return _Part(f"{title} of {own}", unit, residual, np.full(k, -FAR), np.full(k, FAR), limit)
+    def ball(title: str, unit: str, residual: Residual[MotionState], k: int, limit: float) -> _Limit:
+        return _Limit(f"{title} of {own}", unit, residual, np.full(k, -FAR), np.full(k, FAR), limit)
 
     bounded = np.isfinite(target.lower) | np.isfinite(target.upper)
     if bounded.any():
         lower, upper = (np.clip(bound, -FAR, FAR)[bounded] for bound in (target.lower, target.upper))
-        yield _Part(f"place of {own}", "m", rows((*bounded.tolist(), False, False, False)), lower, upper)
+        yield _Limit(f"place of {own}", "m", rows((*bounded.tolist(), False, False, False)), lower, upper)
     if np.isfinite(target.radius_m):
         yield ball("distance from the axis", "m", rows((True, True, False, False, False, False)), 2, target.radius_m)
     if np.isfinite(target.distance_m):
@@ -104,7 +104,7 @@ def _list_parts(robot: RobotModel, target: RegionTarget, waypoints: Int[np.ndarr
     turned = target.turns_rad < np.pi
     if turned.any():
         most = target.turns_rad[turned]
-        yield _Part(f"turn of {own}", "rad", rows((False, False, False, *turned.tolist())), -most, most)
+        yield _Limit(f"turn of {own}", "rad", rows((False, False, False, *turned.tolist())), -most, most)
     if target.axis is not None and target.lean_rad < np.pi:
         if target.place is None:
             wanted = target.rotation @ target.axis
@@ -134,7 +134,7 @@ def limit_goal(
     return constraints
 
 
-def _reserve_goal(part: _Part) -> Float[np.ndarray, "k"]:
+def _reserve_goal(part: _Limit) -> Float[np.ndarray, "k"]:
     most = RESERVE_M if part.unit == "m" else RESERVE_RAD
     return np.minimum(RESERVE_SHARE * part.half, most)
 
@@ -153,7 +153,7 @@ def lead_into(robot: RobotModel, target: RegionTarget, first: MotionState, share
     return tuple(make(k) for k in range(len(own)))
 
 
-def _beyond(part: _Part) -> Residual[MotionState]:
+def _beyond(part: _Limit) -> Residual[MotionState]:
     """Return what leads into a part, well inside of it."""
     return part.shrink(1.5 * _reserve_goal(part)).beyond()
 
@@ -272,7 +272,7 @@ class KeptRegion:
         holder = 0 if self.region.reference is None else locate_frame(robot, self.region.reference)[0]
         return locate_frame(robot, self.region.frame)[0] != holder
 
-    def _shrink(self, part: _Part) -> _Part:
+    def _shrink(self, part: _Limit) -> _Limit:
         """Return the part for waypoints: the rest of it is for the curve between them."""
         half = part.half
         share = 1.0 - START_SHARE if part.is_narrow else 1.0 - REGION_SHARE

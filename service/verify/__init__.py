@@ -171,7 +171,7 @@ from service.verify.prepared_motion import (
     Placements,
     PreparedMotion,
 )
-from service.verify.region import RegionTarget
+from service.verify.regions.region import RegionTarget
 from service.verify.resting import (
     PairDistance,
     RestingPose,

@@ -15,7 +15,7 @@ from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from service.verify.carrying.carriers import Carrier
-from service.verify.region import RegionTarget
+from service.verify.regions.region import RegionTarget
 
 FEET_FRICTION = 0.6
 FEET_CAP_N = 5000.0  # at each corner of a sole [N]

@@ -24,7 +24,7 @@ from service.verify.motion import (
     VerifyError,
     WayTarget,
 )
-from service.verify.region import RegionTarget
+from service.verify.regions.region import RegionTarget
 
 # Errors of directions and rotations written as decimal numbers.
 _UNIT_TOLERANCE = 1e-6

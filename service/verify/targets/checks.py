@@ -29,7 +29,8 @@ from service.verify.motion import (
 )
 from service.verify.phase_proof import Extreme, PhaseProof
 from service.verify.prepared_motion import PreparedMotion
-from service.verify.region import RegionTarget
+from service.verify.regions.checks import check_region
+from service.verify.regions.region import RegionTarget
 from service.verify.rounding import round_up
 from service.verify.targets.pose_errors import (
     AXIS_NAMES,
@@ -38,7 +39,6 @@ from service.verify.targets.pose_errors import (
     list_position_demands,
     offset_from_target,
 )
-from service.verify.targets.region_checks import check_region
 from service.verify.targets.turns import bound_lean, bound_turn
 from service.verify.targets.ways import check_joint_way, check_way
 

@@ -18,7 +18,7 @@ from service.verify.certificate import Check
 from service.verify.frame_paths import FramePath
 from service.verify.motion import Motion
 from service.verify.phase_proof import Extreme, PhaseProof, values_at_ends
-from service.verify.region import RegionTarget
+from service.verify.regions.region import RegionTarget
 from service.verify.rounding import round_down, round_up
 from service.verify.targets.pose_errors import AXIS_NAMES, measure_rotation_vector
 from service.verify.targets.turns import bound_lean, bound_turn
