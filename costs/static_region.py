@@ -435,7 +435,7 @@ def _room_beyond(first: _Place, second: _Place) -> float:
         return 0.0 if x1 * x2 + y1 * y2 > 0.0 else math.inf
     # the tangents meet at first + u: d1 . u = 0 and d2 . u = d2 . edge
     scale = (x2 * along + y2 * across) / turn
-    return scale * (-y1 * across - x1 * along) / length
+    return float(scale * (-y1 * across - x1 * along) / length)
 
 
 def _simplify(vertices: Float[np.ndarray, "V 2"]) -> list[int]:
