@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGING = ROOT / "packaging" / "client"
-ROOTS = ("service.client", "service.request.file")
+ROOTS = ("service.client", "service.client.program", "service.request.file")
 OWN = ("scopt", "costs", "perception", "service")
 
 

@@ -27,6 +27,7 @@ from service.cli.robots import robots_command
 from service.cli.scene import detect_command, scene_command
 from service.cli.server.console import console_command
 from service.cli.server.health import health_command
+from service.cli.server.keeping import backup_command, prune_command
 from service.cli.server.lists import plans_command, scenes_command
 from service.cli.server.serve import serve_command
 from service.cli.server.token import token_command
@@ -91,6 +92,8 @@ app.command("scenes")(scenes_command)
 app.command("top")(top_command)
 app.command("serve")(serve_command)
 app.command("console")(console_command)
+app.command("backup")(backup_command)
+app.command("prune")(prune_command)
 app.command("token")(token_command)
 app.command("health")(health_command)
 

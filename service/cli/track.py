@@ -349,6 +349,9 @@ def _print_track(out: Console, summary: Mapping[str, Any]) -> None:
         print_line(out, "fault", f"{fault['at_s']:.2f} s, {fault['name']}, {fault['reaction']}: {fault['sentence']}")
     for sentence in summary["unwatched"]:
         print_line(out, "not watched", sentence)
+    for one in summary["assumptions"]:
+        if not one["watched_by"]:
+            print_line(out, "assumed", f"{one['sentence']}; nothing watches it")
     off = ", ".join(f"{link} {1e3 * value:.1f} mm" for link, value in summary["off_m"].items())
     print_line(out, "off the plan", off or "no feet or hands")
     for label, value in summary["truth"].items():

@@ -16,6 +16,7 @@ from service.execution.execution import Cycle, Execution
 from service.execution.guards import Severity
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
+from service.execution.watch.assumptions import Assumption
 
 VERDICTS = {Mode.DONE: "TRACKED", Mode.ABORTED: "ABORTED", Mode.FALLEN: "FELL"}
 
@@ -138,6 +139,7 @@ class TrackReport:
         faults: what the guards found, in their order.
         unwatched: what the robot's sensors leave unwatched, a sentence each.
         guards: limits of the guards, from the plan and the servos' law.
+        assumptions: of the certificate, with what watches each.
     """
 
     verdict: str
@@ -154,6 +156,7 @@ class TrackReport:
     faults: tuple[Fault, ...]
     unwatched: tuple[str, ...]
     guards: Mapping[str, Any]
+    assumptions: tuple[Assumption, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON data."""
@@ -166,6 +169,7 @@ class TrackReport:
             "changes": [vars(change) for change in self.changes],
             "faults": [vars(fault) for fault in self.faults],
             "unwatched": list(self.unwatched),
+            "assumptions": [vars(one) for one in self.assumptions],
         }
 
 
@@ -242,6 +246,7 @@ class _Watch:
             faults=tuple(self.faults.values()),
             unwatched=execution.watch.list_unwatched(),
             guards=execution.watch.describe(),
+            assumptions=execution.watch.list_assumptions(),
         )
 
 

@@ -259,6 +259,22 @@ class Plans:
         db.executemany("DELETE FROM plans WHERE plan_id = ?", deleted)
         return archives
 
+    def delete_older(self, before: float, *, with_reviewed: bool) -> int:
+        """Delete the plans that were made before a time and are not open; return their number.
+
+        Args:
+            before: seconds since 1970.
+            with_reviewed: whether plans with reviews are deleted as well.
+        """
+        kept = "" if with_reviewed else " AND is_reviewed = 0"
+        with self._database.transaction(durable=True) as db:
+            rows = db.execute(
+                f"SELECT plan_id FROM plans WHERE state IN ('finished', 'lost') AND created < ?{kept}", (before,)
+            ).fetchall()
+            db.executemany("DELETE FROM plans WHERE plan_id = ?", [(row["plan_id"],) for row in rows])
+        self._delete_archives([row["plan_id"] for row in rows])
+        return len(rows)
+
     def _delete_archives(self, plan_ids: list[str]) -> None:
         for plan_id in plan_ids:
             (self._archives.path / plan_id).unlink(missing_ok=True)

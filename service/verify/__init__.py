@@ -73,6 +73,11 @@ from service.verify.forces.dynamics import (
     make_joints,
     map_axes,
 )
+from service.verify.forces.frame_speeds import (
+    FrameSpeed,
+    list_frame_speeds,
+    list_tools,
+)
 from service.verify.forces.hand_balance import (
     LEAST_APART_M,
     LEAST_SHARE,
@@ -108,11 +113,6 @@ from service.verify.forces.rounded import (
 from service.verify.frame_paths import (
     find_mechanism_joints,
     trace_frame,
-)
-from service.verify.frame_speeds import (
-    FrameSpeed,
-    list_frame_speeds,
-    list_tools,
 )
 from service.verify.ground import (
     GROUND_TOLERANCE_M,

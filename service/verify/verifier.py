@@ -17,9 +17,9 @@ from service.verify.coverage.checks import check_coverage
 from service.verify.coverage.pressed import note_given
 from service.verify.coverage.required import list_own_joints
 from service.verify.forces.dynamics import check_dynamics
+from service.verify.forces.frame_speeds import check_frame_speeds
 from service.verify.forces.hand_contacts import check_hand_contacts
 from service.verify.forces.letting_go import check_letting_go
-from service.verify.frame_speeds import check_frame_speeds
 from service.verify.ground import check_ground
 from service.verify.hashes import bodies_hash, promises_hash, robot_hash, scene_hash
 from service.verify.limits import check_positions, check_timing

@@ -107,6 +107,9 @@ def test_a_plan_is_carried_out_by_a_controller_of_trajectories(
     driver = TrajectoryDriver(played, 0.02)
     report = track(Execution(reference, driver), settle_s=0.0)
     assert report.verdict == "TRACKED"
+    watched = {one.sentence: one.watched_by for one in report.assumptions}
+    assert watched["the joints follow the commands, as their servos do"] == "angles against the commands"
+    assert watched["planted links rest on their surfaces, which carry them"] == ""  # no force is measured
     assert driver.joint_names == reference.joint_names[::-1]  # a controller has an order of its own
     assert np.abs(driver.read().q[::-1] - reference.at(reference.duration_s).q).max() < 0.02
     assert all(np.isfinite(point["positions"]).all() for goal in played.goals for point in goal["points"])

@@ -35,7 +35,7 @@ from service.verify import (
     trace_frame,
     verify,
 )
-from service.verify.frame_speeds import LEAST_M_S, NOISE_N, REACTION_S, STIFFNESS_N_M, limit_approach
+from service.verify.forces.frame_speeds import LEAST_M_S, NOISE_N, REACTION_S, STIFFNESS_N_M, limit_approach
 
 ROOT = Path(__file__).parents[2]
 

@@ -13,6 +13,7 @@ from service.execution.driver import RobotReading
 from service.execution.guards import Finding, Guards, GuardSettings, Severity
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
 from service.execution.sensing.forces import MeasuredForces
+from service.execution.watch.assumptions import Assumption, list_assumptions
 from service.execution.watch.driver_link import DriverLink
 from service.execution.watch.pelvis import PelvisSettings, PelvisWatch
 from service.execution.watch.readings import ReadingCheck, ReadingSettings, ReadingState
@@ -67,6 +68,7 @@ class Watch:
             ExecutionError: one line: a sensor that every robot needs says nothing usable.
         """
         self.settings, self.period_s, self._force_limits = settings, period_s, guards
+        self._reference = reference
         self._check = ReadingCheck(reference.robot, joint_names, period_s, settings.readings)
         self.readings = self._check.start(first) if isinstance(first, RobotReading) else first
         self._guards = Guards(guards)
@@ -139,6 +141,10 @@ class Watch:
     def list_unwatched(self) -> tuple[str, ...]:
         """Return what the robot's sensors leave unwatched, a sentence each."""
         return self._check.list_unwatched(self.readings)
+
+    def list_assumptions(self) -> tuple[Assumption, ...]:
+        """Return what the certificate assumes, and what watches it."""
+        return list_assumptions(self._reference, self.readings.good)
 
     def describe(self) -> dict[str, Any]:
         """Return the limits of all guards as JSON data."""

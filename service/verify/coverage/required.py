@@ -11,8 +11,8 @@ from jaxtyping import Float
 from costs.robot.model import BASE_NAMES
 from service.verify.carrying.checks import list_carrier_checks
 from service.verify.certificate import Basis, Check
+from service.verify.forces.frame_speeds import list_frame_speeds
 from service.verify.forces.hand_contacts import list_moving_joints
-from service.verify.frame_speeds import list_frame_speeds
 from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
 
