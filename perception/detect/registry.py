@@ -23,7 +23,7 @@ from perception.detect.engine.click import fit_at
 from perception.detect.engine.kinds import CLICKED
 from perception.detect.engine.surroundings import Surroundings
 from perception.detect.engine.verdict import rate, rate_fit
-from perception.detect.shared.detection import Detection
+from perception.detect.shared.detection import CONFIDENT, Detection
 from perception.detect.shared.detector import Detector
 from perception.detect.shared.faces import FacesInSight
 from perception.detect.shared.overlap import offer_alternatives, settle_overlaps
@@ -34,6 +34,7 @@ from perception.view import View, widen
 ENTRY_POINTS = "scopt_detectors"
 _MOSTLY = 0.5
 _MOST_AT_CLICK = 4
+_SEARCHED = frozenset({"drill"})  # kinds whose detectors make the same fits
 _ALSO = {"valve": ("wheel",)}  # detectors that find part of a kind about a click within a second
 
 
@@ -174,7 +175,8 @@ def detect_at(
 ) -> Iterator[tuple[str, list[Detection]]]:
     """Fit objects where a person clicked, and yield each kind with its best few fits, sure or not.
 
-    Kinds that the engine has no fit for are found by their detectors near the click.
+    Kinds that the engine has no fit for are found by their detectors near the click; so is a single kind of which no
+    fit is confident.
 
     Args:
         kinds, view, on_kind, on_failure: see ``detect_each``.
@@ -194,7 +196,8 @@ def detect_at(
             for other in _ALSO.get(kind, ()):
                 for _, more in detect_each((other,), view, click, on_failure=on_failure):
                     others += more
-        if not fits and not others:
+        is_sure = any(hit.confidence >= CONFIDENT for hit in (*fits, *others))
+        if kind not in CLICKED or (len(kinds) == 1 and not is_sure and kind not in _SEARCHED):
             for _, more in detect_each((kind,), view, click, on_kind, on_failure):
                 others += more
         yield kind, offer_alternatives(fits, others)[:_MOST_AT_CLICK]

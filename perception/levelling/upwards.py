@@ -74,7 +74,8 @@ class Evidence:
     @property
     def score(self) -> float:
         """Log odds of the direction, up to a constant."""
-        support = 2.0 * np.log(0.1 + self.floor + 0.1 * self.ceiling)
+        corner = 0.05 if self.n_walls > 1 else 0.0
+        support = 2.0 * np.log(0.1 + self.floor + 0.1 * self.ceiling + corner)
         upright = np.log(0.1 + self.wall + self.floor + self.ceiling)
         attitude = -0.5 * ((self.pitch + 0.3) / 0.4) ** 2 - 0.5 * min(self.roll / 0.25, 2.0) ** 2
         # A sensor is mounted upside down more often than on its side.
