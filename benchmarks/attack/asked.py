@@ -62,6 +62,8 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     "peg: robot.hands.right.peg_radius_m": "a hand without a peg",
     "carried: robot.hands.right.peg_radius_m": "the same",
     "lever: task.valve.spoke_width_m": "of wheels",
+    "paths: task.steps.*.follow.tilt_towards": "of a path without tilt, or along the normal",
+    "walk: task.steps.*.walk.stride_m smaller": "the same number of strides",
     "door: task.door.press_m": "of push bars; this door has a lever",
     "door: task.door.push_bar_n": "the same",
 }
