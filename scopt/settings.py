@@ -9,6 +9,7 @@ from dataclasses import dataclass
 Clock = Callable[[], float]
 """Seconds since some moment; only differences count."""
 
+READ_EVERY_S = 2e-3  # of wall time: the processor's clock is asked by a call of the system, thousands of times a plan
 WALL_SHARE = 0.1  # effort per second of wall time, at least: a process that waits for others ends as well
 
 
@@ -25,10 +26,15 @@ class EffortClock:
     def __init__(self, wall_share: float = WALL_SHARE) -> None:
         self.wall_share = wall_share
         self._cpu, self._wall = time.process_time(), time.monotonic()
+        self._effort, self._next = 0.0, self._wall
 
     def __call__(self) -> float:
-        """Return the effort so far [s]."""
-        return max(time.process_time() - self._cpu, self.wall_share * (time.monotonic() - self._wall))
+        """Return the effort so far, as of the last 2 ms [s]."""
+        now = time.monotonic()
+        if now >= self._next:
+            self._effort = max(time.process_time() - self._cpu, self.wall_share * (now - self._wall))
+            self._next = now + READ_EVERY_S
+        return self._effort
 
 
 @dataclass(frozen=True)

@@ -25,3 +25,13 @@ def test_a_process_that_only_waits_uses_up_its_limit_as_well(monkeypatch: pytest
     wall[0] = 160.0
     assert clock() == pytest.approx(6.0)
     assert hasty() == pytest.approx(30.0)
+
+
+def test_the_processors_clock_is_asked_once_in_two_milliseconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall, asked = [100.0], []
+    monkeypatch.setattr("scopt.settings.time.process_time", lambda: asked.append(wall[0]) or float(len(asked)))
+    monkeypatch.setattr("scopt.settings.time.monotonic", lambda: wall[0])
+    clock = EffortClock()
+    for wall[0] in (100.0, 100.001, 100.0015, 100.003):
+        clock()
+    assert asked == [100.0, 100.0, 100.003]
