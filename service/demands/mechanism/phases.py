@@ -14,7 +14,7 @@ from service.demands.holds.leaving import LET_GO, SET_ON, STAYS_SHARE, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
-from service.demands.phase import FrameMotion, TaskPhase
+from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
 from service.errors import RequestError
 from service.request.tasks.mechanism import MechanismRequest
 from service.verify import HandLoad
@@ -41,10 +41,13 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
         tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
     )  # fmt: skip
     line = replace(held, offset=handle.approach)
-    links = (hand.hook, hand.link) if given.request.handle.tool == "stub" else (hand.hook,)
+    # What presses lies on the surface; the rod beside a hand that presses by its front comes no further than that.
+    depths = {hand.link: TOUCH_DEPTH, hand.hook: DEPTH_RESERVE}
+    if given.request.handle.tool != "stub":
+        depths = {hand.hook: TOUCH_DEPTH}
     touches = tuple(
-        Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), TOUCH_DEPTH)
-        for link in links
+        Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), depth)
+        for link, depth in depths.items()
         for body in handle.bodies
     )
     ends = given.list_moves()
