@@ -154,19 +154,19 @@ def list_load_cases(
     if not loads:
         return (LoadCase(np.zeros((len(q), 6)), ()),)
     model, data = robot.model, borrow_data(robot.model)
-    joints = [int(model.frames[model.getFrameId(load.tool)].parentJoint) for load in loads]
+    tools, links = [model.getFrameId(load.tool) for load in loads], [model.getFrameId(load.link) for load in loads]
+    joints = [int(model.frames[tool].parentJoint) for tool in tools]
     forces, points = np.zeros((2, len(loads), len(q), 3))
     for k, row in enumerate(q):
-        pin.framesForwardKinematics(model, data, row)
+        pin.forwardKinematics(model, data, row)
         for index, load in enumerate(loads):
-            pose = data.oMf[model.getFrameId(load.link)]
+            pose = pin.updateFramePlacement(model, data, links[index])
             place = load.place
             if load.link == WORLD:
-                place = _bring_near(load, data.oMf[model.getFrameId(load.tool)].translation)
+                place = _bring_near(load, pin.updateFramePlacement(model, data, tools[index]).translation)
             elif load.slide is not None:
-                place = _slide_to(
-                    load, pose.rotation.T @ (data.oMf[model.getFrameId(load.tool)].translation - pose.translation)
-                )
+                tool = pin.updateFramePlacement(model, data, tools[index]).translation
+                place = _slide_to(load, pose.rotation.T @ (tool - pose.translation))
             forces[index, k] = -pose.rotation @ load.force
             points[index, k] = pose.rotation @ place + pose.translation
     wrenches = np.concatenate([forces, np.cross(points, forces)], axis=2)
