@@ -260,7 +260,7 @@ def test_a_wrong_field_earns_one_line(tmp_path: Path, extra: str, problem: str) 
         ("robot: {name: a}\ntask: {valve: {axis: [0, 0, 0]}}", "task.valve: axis has no length"),
         (
             "robot: {name: a}\ngoal: {joints: {}}",
-            "goal: exactly one of joints, poses, posture is needed, none is given",
+            "goal: exactly one of joints, poses, posture, any_of is needed, none is given",
         ),
         (
             "robot: {name: a}\ngoal: {poses: [{link: l, position: [0, 0, 0], free_axis: z}]}",
