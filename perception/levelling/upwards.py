@@ -56,6 +56,7 @@ class Evidence:
         roll: cosine between the direction and the nearer axis across the sensor's field; 0 if it has none.
         usual_deg: angle to the direction upwards of a usual frame.
         close_up: 0 to 1, how near and how squarely the sensor looked down on the surface that faces up.
+        is_rare: whether fewer files have their direction upwards there.
         is_opposite: whether it is the direction downwards of a usual frame, within 30 degrees.
         n_walls: number of directions of walls, 0 to 2.
     """
@@ -68,6 +69,7 @@ class Evidence:
     roll: float
     usual_deg: float
     close_up: float
+    is_rare: bool
     is_opposite: bool
     n_walls: int
 
@@ -81,7 +83,8 @@ class Evidence:
         # A sensor is mounted upside down more often than on its side.
         usual = max(-0.5 * min(self.usual_deg / 25.0, 3.2) ** 2, -3.0 if self.is_opposite else -np.inf)
         # What fills the view from less than a metre is what a sensor was held to, a door say, more often than a floor.
-        return float(support + upright + attitude + usual - 4.0 * self.below - 4.0 * self.close_up)
+        against = 4.0 * self.below + 4.0 * self.close_up + 2.0 * self.is_rare
+        return float(support + upright + attitude + usual - against)
 
 
 @dataclass(frozen=True)
@@ -206,6 +209,7 @@ def _rate(direction: Float[np.ndarray, "3"], surfaces: Surfaces, look: Look) -> 
         close_up=float(
             np.clip((-pitch - _DOWN[0]) / _DOWN[1], 0.0, 1.0) * np.clip((_NEAR - near) / _NEAR, 0.0, 0.5) * 2.0
         ),
+        is_rare=look.is_rare(direction),
         is_opposite=look.is_opposite(direction),
         n_walls=n_walls,
     )

@@ -117,7 +117,7 @@ def test_phases_without_certificate_or_plan_say_so(reached: PlanResult) -> None:
 
 
 def test_a_failed_task_names_all_its_phases() -> None:
-    setup = prepare(parse_request(door_request(x=1.1, hand="right")))
+    setup = prepare(parse_request(door_request(x=1.3, hand="right")))
     body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, Aims())
     (task,) = plan_task(setup, PhaseSolver(body, Monitor(60.0), Settings()))
     assert task.stuck is not None

@@ -107,13 +107,15 @@ def test_edges_are_knots_and_borders_each_stretch_with_its_phase() -> None:
     np.testing.assert_array_equal(rows, [0, 1, 1, 2])
     np.testing.assert_array_equal(edges_within(edges, phases[1]), [0.8, 1.0, 2.0])
     np.testing.assert_array_equal(edges_within(edges, Phase("d", 0.8 + 5e-10, 2.0 - 5e-10)), [0.8, 1.0, 2.0])
-    np.testing.assert_array_equal(edges_within(edges, Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)), [1.0])
+    part = Phase("d", 0.8 + 2e-9, 2.0 - 3e-9)
+    np.testing.assert_array_equal(edges_within(edges, part), [part.first, 1.0, part.last])
 
 
 def test_a_phase_far_along_the_curve_has_its_borders_but_for_their_digits() -> None:
     edges = np.array([1000.0, 1500.0, 2000.0])
     np.testing.assert_array_equal(edges_within(edges, Phase("d", 1000.0 + 1e-6, 2000.0 - 1e-6)), edges)
-    np.testing.assert_array_equal(edges_within(edges, Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)), edges[1:2])
+    part = Phase("d", 1000.0 + 1e-5, 2000.0 - 1e-5)
+    np.testing.assert_array_equal(edges_within(edges, part), [part.first, edges[1], part.last])
 
 
 @pytest.mark.parametrize(
