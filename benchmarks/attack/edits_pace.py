@@ -1,4 +1,4 @@
-"""Edits of what a record says about pace, jerk and the speed of tools, with the certificate computed again."""
+"""Edits of what a record says about pace, jerk, speed of tools and sway, with the certificate computed again."""
 
 from __future__ import annotations
 
@@ -35,6 +35,16 @@ def tool_speed_of_the_record_raised(folder: Folder) -> None:
 @PACE.lie("paced")
 def jerk_limit_left_out_of_the_record(folder: Folder) -> None:
     folder.data["jerk_scale"] = None
+
+
+@PACE.lie("paced")
+def sway_left_out_of_the_record(folder: Folder) -> None:
+    folder.data.update(sway_m=0.0, sway_deg=0.0)
+
+
+@PACE.lie("paced", level=Level.HASHED)
+def sway_of_the_request_doubled(folder: Folder) -> None:
+    folder.request["options"].update(sway_m=0.02, sway_deg=2.0)
 
 
 @PACE.lie("paced")

@@ -91,6 +91,7 @@ LONG = (
     "jerk limit left out of the record",
     "law and tool speed half as fast again",
     "pace of the request is careful",
+    "sway of the request doubled",
     "tool speed of the request lowered",
     "balance margin lowered",
     "target moved by 12 mm",

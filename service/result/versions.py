@@ -28,6 +28,8 @@ ADDED: dict[int, dict[str, Any]] = {
     },
     3: {
         "clearance_m": 0.0,
+        "sway_m": 0.0,
+        "sway_deg": 0.0,
         "jerk_scale": None,
         "pace": None,
         "tool_speed_m_s": None,
