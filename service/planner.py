@@ -40,7 +40,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.verify import Motion, Status, VerifySettings, verify
+from service.verify import Motion, Status, Sway, VerifySettings, bound_largest_sway, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -134,9 +134,10 @@ def _expect_sag(result: PlanResult) -> PlanResult:
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    demanded = options.clearance_m
+    sway = Sway(options.sway_m, options.sway_deg)
+    demanded = options.clearance_m + bound_largest_sway(setup.robot, sway)
     margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
-    aims = Aims(margin, options.balance_margin_m, demanded)
+    aims = Aims(margin, options.balance_margin_m, options.clearance_m, sway)
     try:
         body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     except StaticRegionError as error:

@@ -62,6 +62,16 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             return arm_request(write_arm(folder))
         case "untimed":
             return arm_request(write_arm(folder), options={"time_limit_s": 20.0, "timed": False})
+        case "paced":
+            options = {
+                "time_limit_s": 20.0,
+                "pace": "normal",
+                "jerk_scale": 0.5,
+                "tool_speed_m_s": 0.3,
+                "sway_m": 0.01,
+                "sway_deg": 1.0,
+            }
+            return arm_request(write_arm(folder), options=options)
         case "program":
             return arm_request(write_arm(folder), goal=None, task={"trajopt": _program()})
         case "reach":

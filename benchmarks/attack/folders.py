@@ -17,6 +17,7 @@ from benchmarks.attack.edits_holds import HOLDS
 from benchmarks.attack.edits_invented import INVENTED
 from benchmarks.attack.edits_lever import LEVER
 from benchmarks.attack.edits_motion import MOTION
+from benchmarks.attack.edits_pace import PACE
 from benchmarks.attack.edits_promises import PROMISES
 from benchmarks.attack.edits_request import REQUEST
 from benchmarks.attack.edits_stances import STANCES
@@ -64,6 +65,7 @@ def attacks() -> list[Attack]:
             STANCES,
             WORLD,
             MOTION,
+            PACE,
         )
         for edit in registry.edits
     ]

@@ -1,9 +1,10 @@
 """Rehearsal of an upgrade: a server of an earlier release is replaced under a running client of that release.
 
 ``python -m benchmarks.service.upgrade OLD [--plans N]``.  OLD is a checkout of the release (``git worktree add OLD
-4e2b7f6a``).  A client of OLD plans one request after the other, each with a request id, and accepts every third plan;
-it repeats what is refused while no server listens.  In the middle the old server is stopped and today's is started on
-the same data and the same port.  Then every confirmed plan is asked for again by its request id, and verified.
+4e2b7f6a``).  A client of OLD plans one request after the other with files, each with a request id, and accepts every
+third plan; it repeats what is refused while no server listens.  In the middle the old server is stopped and today's is
+started on the same data and the same port.  Then every confirmed plan is asked for again by its request id, and
+verified.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ ROOT = Path(__file__).parents[2]
 REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
 SERVE = "from service.cli.app import main; main()"
 CLIENT = """
-import json, sys, time
+import json, sys, tempfile, time
 from service.client import PlannerClient, PlannerError
 from service.request.file import load_request
 address, path, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
@@ -37,14 +38,14 @@ for k in range(n):
     refused = 0
     while True:
         try:
-            with PlannerClient(address) as client:
-                plan = client.plan(request, request_id=f"upgrade-{k}")
+            with PlannerClient(address) as client, tempfile.TemporaryDirectory() as out:
+                plan = client.plan(request, request_id=f"upgrade-{k}", out=f"{out}/result")
                 if k % 3 == 0:
                     client.review(client.get_plan(plan.plan_id).record, accept=True, comment=f"plan {k}")
             break
         except PlannerError as error:
             refused += 1
-            if refused > 600:
+            if refused > 600 or error.code.name in ("DATA_LOSS", "INVALID_ARGUMENT", "NOT_FOUND"):
                 raise
             time.sleep(0.2)
     print(json.dumps({"k": k, "id": plan.plan_id, "refused": refused}), flush=True)

@@ -42,7 +42,7 @@ from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
-from service.verify import PlantedContact
+from service.verify import NO_SWAY, PlantedContact, Sway
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -73,11 +73,13 @@ class Aims:
         margin: clearance aimed at.
         balance_margin: distance of the centre of mass inside the support polygon.
         clearance: demanded distance from the world, below which no motion is certified.
+        sway: of a base that something else balances.
     """
 
     margin: float = 0.02
     balance_margin: float = 0.02
     clearance: float = 0.0
+    sway: Sway = NO_SWAY
 
 
 @dataclass(frozen=True)

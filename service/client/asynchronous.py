@@ -73,6 +73,7 @@ from service.proto.planner.v1.planner_pb2 import (
 )
 from service.proto.planner.v1.pose_pb2 import PoseSessionResponse
 from service.proto.planner.v1.request_pb2 import MotionRequest
+from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
 
 SLOWEST_UPLOAD = 1e6  # [bytes/s]
@@ -326,7 +327,7 @@ class AsyncPlannerClient:
     ) -> StoredPlan:
         """Return a plan and its reviews; with ``out``, write its files into that folder."""
         folder = None if out is None else Path(out)
-        message = GetPlanRequest(plan_id=plan_id, with_files=out is not None)
+        message = GetPlanRequest(plan_id=plan_id, with_files=out is not None, known_format=FORMAT)
         attempts = Attempts(self._retry, self._timeout_s if deadline_s is None else deadline_s)
         with receive_files(folder) as files:
             reader = StoredReader(files, folder)

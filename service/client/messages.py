@@ -34,6 +34,7 @@ from service.proto.planner.v1.planner_pb2 import PlanRequest as PlanMessage
 from service.proto.planner.v1.pose_pb2 import OpenPoseSession, PoseEvent, PoseSessionRequest
 from service.proto.planner.v1.request_pb2 import CloudFile, MotionRequest
 from service.proto.planner.v1.result_pb2 import FileChunk, Verdict
+from service.request.formats import FORMAT
 from service.request.schema import PlanRequest
 from service.result.folder import RESULT_NAME, ROBOT_NAME, TRAJECTORY_NAME, read_result
 from service.wire.plain import fill
@@ -56,6 +57,7 @@ def make_plan_message(
         request_id=request_id or str(uuid.uuid4()),
         request=request if isinstance(request, MotionRequest) else request_to_message(request),
         with_files=with_files,
+        known_format=FORMAT if with_files else 0,
         with_waypoints=with_waypoints,
         priority=Priority.PRIORITY_BATCH if is_batch else Priority.PRIORITY_INTERACTIVE,
     )

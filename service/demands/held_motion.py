@@ -34,6 +34,7 @@ from service.verify import (
     Motion,
     Phase,
     SupportPolygon,
+    Sway,
     Target,
     bodies_hash,
     list_waived_checks,
@@ -118,6 +119,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     if recorded.clearance_m != demands.request.options.clearance_m:
         differences.append("the record demands another clearance than the request")
     options = demands.request.options
+    sway = Sway(options.sway_m, options.sway_deg)
+    if recorded.sway != sway:
+        differences.append("the record lets the base sway in another way than the request")
     if recorded.jerk_scale != options.jerk_scale:
         differences.append("the record limits the jerk in another way than the request")
     if recorded.tool_speed_m_s != options.tool_speed_m_s:
@@ -140,6 +144,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         mechanism_links=robot.mechanism_links,
         waived=waived,
         clearance_m=demands.request.options.clearance_m,
+        sway=sway,
         jerk_scale=options.jerk_scale,
         tool_speed_m_s=options.tool_speed_m_s,
         pace=options.pace,

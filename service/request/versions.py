@@ -76,6 +76,8 @@ ADDED = {
         "Options.hand_friction",
         "Options.jerk_scale",
         "Options.pace",
+        "Options.sway_deg",
+        "Options.sway_m",
         "Options.tool_speed_m_s",
         "PoseGoalRequest.look_at",
         "PoseGoalRequest.look_axis",

@@ -27,7 +27,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
 from service.result.phase_json import phase_from_json, phase_json, read_rotation, sample_index, write_rotation
 from service.result.zmp_json import zmp_json
-from service.verify import Motion, find_times, split_motion
+from service.verify import Motion, Sway, find_times, split_motion
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -50,6 +50,8 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "phases": phases,
         "waived": sorted(motion.waived or ()),
         "clearance_m": motion.clearance_m,
+        "sway_m": motion.sway.distance_m,
+        "sway_deg": motion.sway.angle_deg,
         "jerk_scale": motion.jerk_scale,
         "tool_speed_m_s": motion.tool_speed_m_s,
         "pace": motion.pace,
@@ -89,6 +91,7 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         releases=tuple(_read_release(release) for release in data.get("releases", ())),
         continues=data.get("continues"),
         clearance_m=float(data.get("clearance_m", 0.0)),
+        sway=Sway(float(data.get("sway_m", 0.0)), float(data.get("sway_deg", 0.0))),
         jerk_scale=None if data.get("jerk_scale") is None else float(data["jerk_scale"]),
         tool_speed_m_s=None if data.get("tool_speed_m_s") is None else float(data["tool_speed_m_s"]),
         pace=None if data.get("pace") is None else str(data["pace"]),

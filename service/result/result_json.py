@@ -133,6 +133,8 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         },
         "curve": None,
         "clearance_m": result.request.options.clearance_m,
+        "sway_m": result.request.options.sway_m,
+        "sway_deg": result.request.options.sway_deg,
         "jerk_scale": result.request.options.jerk_scale,
         "tool_speed_m_s": result.request.options.tool_speed_m_s,
         "pace": result.request.options.pace,

@@ -28,6 +28,8 @@ ADDED: dict[int, dict[str, Any]] = {
     },
     3: {
         "clearance_m": 0.0,
+        "sway_m": 0.0,
+        "sway_deg": 0.0,
         "jerk_scale": None,
         "pace": None,
         "tool_speed_m_s": None,
@@ -41,6 +43,14 @@ ADDED: dict[int, dict[str, Any]] = {
 
 ``[]`` after a name means every entry of that list.
 """
+
+ADDED_FILES: dict[int, tuple[str, ...]] = {3: ("manifest.json",)}
+"""Files of a plan that later formats brought; a client that does not know one refuses all files of the plan."""
+
+
+def list_unknown_files(known_format: int) -> frozenset[str]:
+    """Return the files of a plan that a client does not know; 0 stands for the format of 0.3.0."""
+    return frozenset(name for brought, names in ADDED_FILES.items() if brought > max(known_format, 2) for name in names)
 
 
 def find_format(data: Mapping[str, Any]) -> int | None:

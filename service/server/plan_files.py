@@ -9,20 +9,24 @@ from functools import partial
 from typing import IO, cast
 
 from service.proto.planner.v1.result_pb2 import FileChunk
+from service.result.versions import list_unknown_files
 from service.store import Store
 from service.store.seals import hash_chunks
 
 CHUNK_BYTES = 512 * 2**10
 
 
-async def stream_files(store: Store, plan_id: str) -> AsyncIterator[FileChunk]:
-    """Yield all files of a plan in chunks, one file after the other.
+async def stream_files(store: Store, plan_id: str, known_format: int) -> AsyncIterator[FileChunk]:
+    """Yield the files of a plan that a client knows in chunks, one file after the other.
+
+    Args:
+        known_format: highest format of results that the client knows; 0 stands for that of version 0.3.0.
 
     Raises:
         NotStoredError: the plan has no files.
         DamagedError: its files are not what was stored.
     """
-    chunks = _split(store, plan_id)
+    chunks = _split(store, plan_id, list_unknown_files(known_format))
     while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
         yield chunk
 
@@ -49,8 +53,10 @@ def hash_files(store: Store, plan_id: str) -> dict[str, str]:
     }
 
 
-def _split(store: Store, plan_id: str) -> Iterator[FileChunk]:
+def _split(store: Store, plan_id: str, left_out: frozenset[str]) -> Iterator[FileChunk]:
     for name, left, content in _open_members(store, plan_id):
+        if name in left_out:
+            continue
         while True:
             data = content.read(CHUNK_BYTES)
             left -= len(data)

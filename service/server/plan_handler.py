@@ -101,7 +101,7 @@ class PlanHandler:
                 async for response in plan.events():
                     yield response
         if message.with_files:
-            async for chunk in stream_files(self._store, record.plan_id):
+            async for chunk in stream_files(self._store, record.plan_id, message.known_format):
                 yield PlanResponse(file=chunk)
 
     async def resume(self) -> None:

@@ -95,7 +95,7 @@ class QueryHandlers:
         record = self._find_record(message.plan_id)
         yield wire.GetPlanResponse(record=self._record_to_message(record))
         if message.with_files:
-            async for chunk in stream_files(self._store, record.plan_id):
+            async for chunk in stream_files(self._store, record.plan_id, message.known_format):
                 yield wire.GetPlanResponse(file=chunk)
 
     async def review_plan(self, message: wire.ReviewPlanRequest, context: Context) -> wire.ReviewPlanResponse:

@@ -69,12 +69,29 @@ def check_names_and_values(robot: RobotModel, request: PlanRequest) -> None:
         RequestError: one line per unknown joint, posture or link, or joint value beyond its limits.
     """
     problems = list(find_demand_part(request).list_name_problems(request.section, request, robot))
+    problems += _list_sway_problems(robot, request)
     for index, keep in enumerate(request.keep):
         problems += find_unknown_links(robot, (keep.link,), f"keep[{index}].link")
         if keep.relative_to is not None:
             problems += find_unknown_links(robot, (keep.relative_to,), f"keep[{index}].relative_to")
     if problems:
         raise RequestError(problems)
+
+
+def _list_sway_problems(robot: RobotModel, request: PlanRequest) -> list[str]:
+    """Return what a base that sways cannot go with: one that moves by itself, and tasks beside goals."""
+    options = request.options
+    field, value = ("sway_m", options.sway_m) if options.sway_m else ("sway_deg", options.sway_deg)
+    if not value:
+        return []
+    if robot.is_floating or robot.is_planar:
+        return [
+            f"options.{field}: {value:g} with a robot whose base is planned; expected robot.root: fixed, "
+            "since only a base that something else balances sways"
+        ]
+    if request.task is not None:
+        return [f"options.{field}: {value:g} with a task; expected a goal, as hands that press do not make up for sway"]
+    return []
 
 
 def find_soles(

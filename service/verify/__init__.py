@@ -52,6 +52,7 @@ from service.verify.certificate import (
 from service.verify.clearance.pairs import (
     collect_pairs,
 )
+from service.verify.clearance.swaying import bound_largest_sway
 from service.verify.coverage.pressed import (
     is_shown,
 )
@@ -139,6 +140,7 @@ from service.verify.limits import (
 from service.verify.motion import (
     HAND_CAP_N,
     HAND_DRIFT_M,
+    NO_SWAY,
     WORLD,
     AxisTarget,
     CircleTarget,
@@ -157,6 +159,7 @@ from service.verify.motion import (
     Profile,
     RelativePoseTarget,
     SupportPolygon,
+    Sway,
     Target,
     VerifyError,
     VerifySettings,
@@ -212,6 +215,7 @@ __all__ = [
     "LEAST_APART_M",
     "LEAST_SHARE",
     "MOST_LEAN_RAD",
+    "NO_SWAY",
     "REST_MARGIN_M",
     "RISE_S",
     "STANDING_DEPTH_M",
@@ -261,6 +265,7 @@ __all__ = [
     "Status",
     "Stretches",
     "SupportPolygon",
+    "Sway",
     "Target",
     "VerifyError",
     "VerifySettings",
@@ -268,6 +273,7 @@ __all__ = [
     "Where",
     "bodies_hash",
     "bound_coordinate",
+    "bound_largest_sway",
     "collect_pairs",
     "compute_forces",
     "compute_inverse_dynamics",

@@ -190,6 +190,11 @@ class JointTree:
             np.array([axis.ratio for axis in axes], dtype=float),
         )
 
+    def distance(self, joint: int, points: Float[np.ndarray, "V 3"]) -> float:
+        """Bound the distance of points in the frame of a joint from the world's origin in all configurations [m]."""
+        slides = [axis.travel for own in self.ancestors(joint) for axis in self._axes[own] if not axis.is_revolute]
+        return _farthest(points) + sum(slides) + sum(self._offsets[own] for own in self.ancestors(joint))
+
     def _pass(self, joint: int, length: float, rows: list[tuple[int, _Axis, float]], *, outwards: bool) -> float:
         """Append the joint's axes, the most distal first; return the length beyond the joint."""
         own = self._axes[joint]

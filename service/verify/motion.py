@@ -441,6 +441,25 @@ class Phase:
 
 
 @dataclass(frozen=True)
+class Sway:
+    """Movement of a fixed base that something else balances.
+
+    Attributes:
+        distance_m: of the base frame's origin from its place, at most [m].
+        angle_deg: by which the base is turned about any axis through it, at most [deg].
+    """
+
+    distance_m: float = 0.0
+    angle_deg: float = 0.0
+
+    def __bool__(self) -> bool:
+        return self.distance_m > 0.0 or self.angle_deg > 0.0
+
+
+NO_SWAY = Sway()
+
+
+@dataclass(frozen=True)
 class Motion:
     """A motion as it is executed and exported.
 
@@ -458,6 +477,7 @@ class Motion:
         releases: rules of the mechanism's latches.
         continues: hash of the certificate of the plan whose task this motion continues, or None.
         clearance_m: demanded distance of the robot from every piece that it may not touch [m].
+        sway: of the base, within which clearance and reach hold.
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: name of ``service.request.paces``, whose margins the timed motion keeps; None for none.
@@ -475,6 +495,7 @@ class Motion:
     releases: tuple[Release, ...] = ()
     continues: str | None = None
     clearance_m: float = 0.0
+    sway: Sway = NO_SWAY
     jerk_scale: float | None = None
     tool_speed_m_s: float | None = None
     pace: str | None = None

@@ -28,6 +28,7 @@ from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 from service.verify.stance_checks import check_stance
 from service.verify.targets.checks import check_targets
+from service.verify.targets.swaying import check_swayed_reach
 from service.verify.validation import validate_motion
 
 MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
@@ -36,7 +37,8 @@ PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
 MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_frame_speeds, check_mechanism)
 PHASE_CHECKS: tuple[PhaseCheck, ...] = (
-    check_stance, check_targets, check_hand_contacts, check_letting_go, check_ground, check_dynamics,
+    check_stance, check_targets, check_swayed_reach, check_hand_contacts, check_letting_go, check_ground,
+    check_dynamics,
 )  # fmt: skip
 
 
@@ -118,4 +120,9 @@ def _notes(prepared: PreparedMotion, coverage: Coverage) -> tuple[str, ...]:
     if motion.robot.is_floating:
         assumed = [phase.name for phase in prepared.phases if phase.support is not None and not phase.contacts]
         notes += [f"the support polygon was taken as given in {', '.join(assumed)}"] if assumed else []
+    if motion.sway:
+        notes.append(
+            "something else balances the robot; links that no joint moves, and hands that make up for its sway, "
+            "were not held to the scene"
+        )
     return (*notes, *note_given(prepared.phases), *coverage.sentences())

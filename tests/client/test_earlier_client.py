@@ -14,7 +14,9 @@ import pytest
 from earlier_results import VERSIONS, unpack
 from planner_server import ServerProcess, planner_server
 
+from service.client import PlannerClient
 from service.client.program import main
+from service.result.folder import MANIFEST_NAME
 
 RELEASE = "0.3.0"
 USE = """
@@ -24,7 +26,7 @@ from service.client import PlannerClient, PlannerError
 from service.proto.planner.v1 import planner_pb2, result_pb2
 from service.request.file import parse_request
 
-address = sys.argv[1]
+address, out = sys.argv[1], sys.argv[2]
 post = {"name": "post", "type": "cylinder", "radius": 0.03, "height": 0.4, "position": [0.75, 0.0, 0.0]}
 data = {
     "robot": {"name": "arm"},
@@ -35,7 +37,9 @@ data = {
 request = parse_request(data)
 said = {"code": service.client.__file__}
 with PlannerClient(address) as client:
-    plans = [client.plan(request, request_id=name) for name in ("accepted", "new", "new")]
+    names = ("accepted", "new", "new")
+    plans = [client.plan(request, request_id=name, out=f"{out}/{k}") for k, name in enumerate(names)]
+    client.get_plan(plans[1].plan_id, out=f"{out}/stored")
     said["ids"] = [plan.plan_id for plan in plans]
     said["certified"] = [plan.result.verdict == result_pb2.VERDICT_CERTIFIED for plan in plans]
     said["comments"] = [review.comment for review in client.get_plan(plans[0].plan_id).record.reviews]
@@ -61,7 +65,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServerProcess]:
 def test_the_client_of_the_last_release_gets_old_and_new_plans(server: ServerProcess, tmp_path: Path) -> None:
     old = unpack(RELEASE, "client", tmp_path / "client")
     done = subprocess.run(
-        [sys.executable, "-c", USE, server.address],
+        [sys.executable, "-c", USE, server.address, str(tmp_path / "out")],
         cwd=old,
         env={**os.environ, "PYTHONPATH": str(old)},
         capture_output=True,
@@ -76,6 +80,16 @@ def test_the_client_of_the_last_release_gets_old_and_new_plans(server: ServerPro
     assert new == again != stored  # a request id means the same plan, across the upgrade too
     assert said["comments"] == ["seen from all sides"]
     assert "belongs to another request" in said["refusal"]
+    with PlannerClient(server.address) as client:
+        client.get_plan(new, out=tmp_path / "today")
+    today = _list_names(tmp_path / "today")
+    assert MANIFEST_NAME in today
+    for name in ("1", "2", "stored"):  # all that the earlier client knows
+        assert _list_names(tmp_path / "out" / name) == today - {MANIFEST_NAME}
+
+
+def _list_names(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_program_of_the_client_lists_and_verifies_the_same_plans(

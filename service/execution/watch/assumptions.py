@@ -38,6 +38,12 @@ def list_assumptions(reference: PlannedReference, reading: RobotReading) -> tupl
             "measured torques against the plan, coarsely" if has_torques else "",
         ),
     ]
+    sway = reference.motion.sway
+    if sway:
+        moved = f"{1e3 * sway.distance_m:g} mm and {sway.angle_deg:g} deg"
+        assumed.append(
+            Assumption(f"something else balances the robot and keeps its base within {moved} of its place", "")
+        )
     if planted:
         forces = "forces at the planted links, before the next phase begins" if felt == planted else ""
         pelvis = "inertial unit and soles against the command" if felt else ""

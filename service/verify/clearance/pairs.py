@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance, BodyIndex
+from service.verify.clearance.swaying import bound_sways
 from service.verify.joint_chain import JointChain, JointTree
 from service.verify.motion import Motion
 from service.verify.solids import CoalSolid
@@ -130,7 +131,8 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
     allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
     is_own = np.array([solid.link not in motion.mechanism_links for solid in bodies], dtype=bool)
-    demanded = np.where(is_own[mover] & (holder >= len(bodies)), motion.clearance_m, 0.0)
+    wanted = motion.clearance_m + bound_sways(tree, motion.robot.bodies, motion.sway)
+    demanded = np.where(is_own[mover] & (holder >= len(bodies)), wanted[mover], 0.0)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
     return PairTable(
         solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), JointChain.stack(())

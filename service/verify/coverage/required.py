@@ -15,6 +15,7 @@ from service.verify.forces.frame_speeds import list_frame_speeds
 from service.verify.forces.hand_contacts import list_moving_joints
 from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
+from service.verify.targets.swaying import list_swayed_targets
 
 TIMING, BALANCE = "timing", "balance"
 INERTIA_ROUNDING = 0.05  # by which a principal moment may exceed the sum of the others in a robot's file
@@ -62,6 +63,7 @@ def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChe
             waived += [f"what moves {joint} in '{phase.name}'" for joint in moving if not _is_pushed(phase, joint)]
         elif not any(part.source == "assumed" for part in phase.pressed or ()):  # a check of its own says so
             names += [f"{check}.{phase.name}.{joint}" for joint in moving for check in ("hand_touch", "hand_contact")]
+        names += [f"swayed.{phase.name}.{target.frame}" for target in list_swayed_targets(phase) if motion.sway]
         names += [f"torque.{phase.name}"] if motion.law is not None and is_limited else []
         names += list_carrier_checks(phase, is_timed=motion.law is not None)
         if not motion.robot.is_floating:

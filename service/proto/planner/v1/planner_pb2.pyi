@@ -82,18 +82,20 @@ DECISION_ACCEPTED: Decision
 DECISION_REJECTED: Decision
 
 class PlanRequest(_message.Message):
-    __slots__ = ("request_id", "request", "with_files", "with_waypoints", "priority")
+    __slots__ = ("request_id", "request", "with_files", "with_waypoints", "priority", "known_format")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_FIELD_NUMBER: _ClassVar[int]
     WITH_FILES_FIELD_NUMBER: _ClassVar[int]
     WITH_WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     PRIORITY_FIELD_NUMBER: _ClassVar[int]
+    KNOWN_FORMAT_FIELD_NUMBER: _ClassVar[int]
     request_id: str
     request: _request_pb2.MotionRequest
     with_files: bool
     with_waypoints: bool
     priority: Priority
-    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ..., priority: _Optional[_Union[Priority, str]] = ...) -> None: ...
+    known_format: int
+    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ..., priority: _Optional[_Union[Priority, str]] = ..., known_format: _Optional[int] = ...) -> None: ...
 
 class PlanResponse(_message.Message):
     __slots__ = ("accepted", "queued", "progress", "finished", "file")
@@ -521,12 +523,14 @@ class ContactInfo(_message.Message):
     def __init__(self, name: _Optional[str] = ..., link: _Optional[str] = ..., points: _Optional[_Iterable[_Union[_request_pb2.Point, _Mapping]]] = ..., normal: _Optional[_Iterable[float]] = ..., friction: _Optional[float] = ..., force_cap_n: _Optional[float] = ...) -> None: ...
 
 class GetPlanRequest(_message.Message):
-    __slots__ = ("plan_id", "with_files")
+    __slots__ = ("plan_id", "with_files", "known_format")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     WITH_FILES_FIELD_NUMBER: _ClassVar[int]
+    KNOWN_FORMAT_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     with_files: bool
-    def __init__(self, plan_id: _Optional[str] = ..., with_files: bool = ...) -> None: ...
+    known_format: int
+    def __init__(self, plan_id: _Optional[str] = ..., with_files: bool = ..., known_format: _Optional[int] = ...) -> None: ...
 
 class GetPlanResponse(_message.Message):
     __slots__ = ("record", "file")
