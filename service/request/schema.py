@@ -161,6 +161,8 @@ class Options(Section):
             (``PlanRequest.limit_s``).
         margin_m: clearance aimed at.
         clearance_m: demanded distance of the robot from every obstacle that it may not touch; no certificate below it.
+        padding: what single links, carried bodies and obstacles add to the demanded distance of their pairs, by name: a
+            pair of both demands the sum, at least ``clearance_m``.
         seed: seed of every random draw.
         balance_margin_m: smallest distance of the balance point from the support polygon's edges.
         feet: links planted at the start; by default the robot's feet.
@@ -182,6 +184,9 @@ class Options(Section):
     time_limit_s: Annotated[Number, Field(gt=0.0, le=3600.0)] | None = None
     margin_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.02
     clearance_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.0
+    padding: Annotated[dict[Name, Annotated[Number, Field(gt=0.0, le=0.5)]], at_most(1000)] = field(
+        default_factory=dict
+    )
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], at_most(8)] | None = None

@@ -76,6 +76,7 @@ ADDED = {
         "Options.hand_friction",
         "Options.jerk_scale",
         "Options.pace",
+        "Options.padding",
         "Options.tool_speed_m_s",
         "PoseGoalRequest.look_at",
         "PoseGoalRequest.look_axis",

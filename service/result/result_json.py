@@ -133,6 +133,7 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         },
         "curve": None,
         "clearance_m": result.request.options.clearance_m,
+        "padding": dict(result.request.options.padding),
         "jerk_scale": result.request.options.jerk_scale,
         "tool_speed_m_s": result.request.options.tool_speed_m_s,
         "pace": result.request.options.pace,

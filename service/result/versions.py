@@ -30,6 +30,7 @@ ADDED: dict[int, dict[str, Any]] = {
         "clearance_m": 0.0,
         "jerk_scale": None,
         "pace": None,
+        "padding": {},
         "tool_speed_m_s": None,
         "objects": [],
         "phases[].carriers": [],
