@@ -116,6 +116,9 @@ def clearance(replay: Replay, data: dict[str, Any], phases: list[dict[str, Any]]
             depths = [w["depth"] for w in phase["allowances"] if covers(w, named[pair[0]], named[pair[1]])]
             is_own = {named[name][0] for name in pair} == {"robot", "scene"}
             least = max(data["certificate"]["min_clearance_m"] or 0.0, is_own * data.get("clearance_m", 0.0))
+            pads = data.get("padding", {})
+            names = [named[name][1] if named[name][0] == "robot" else name for name in pair]
+            least = max(least, is_own * sum(pads.get(name, 0.0) for name in names))
             need, at = -max(depths) if depths else least - 1e-6, a
             todo = [row for row in own if a <= row[0] and row[1] <= b] or [(a, b, None)]
             while todo:

@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from service.bench.batch import BatchRow, plan_many
     from service.errors import ExecutionError, RequestError, ResultError, ServiceError
     from service.execution.driver import JointCommand, RobotDriver, RobotReading
     from service.execution.execution import Execution
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Action",
+    "BatchRow",
     "CertifiedTrajectory",
     "Execution",
     "ExecutionError",
@@ -68,6 +70,7 @@ __all__ = [
     "load_request",
     "parse_request",
     "plan",
+    "plan_many",
     "prepare",
     "read_result",
     "read_trajectory",
@@ -80,6 +83,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "bench.batch": ("BatchRow", "plan_many"),
     "errors": ("ExecutionError", "RequestError", "ResultError", "ServiceError"),
     "replay.exchange.certify": ("CertifiedTrajectory", "certify"),
     "replay.exchange.joint_trajectory": ("JointTrajectory",),

@@ -29,25 +29,25 @@ from scopt import Status as SolveStatus
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.demands import find_padding
 from service.errors import RequestError
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
 from service.motion.timing import TimingSettings
-from service.request.schema import PlanRequest
+from service.request.schema import Options, PlanRequest
 from service.result.attempt import Attempt
 from service.result.result import PlanResult, Verdict
 from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.verify import Motion, Status, Sway, VerifySettings, bound_largest_sway, verify
+from service.verify import Motion, Status, VerifySettings, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
     from service.setup.world import Surroundings
 
 MAX_REPAIRS = 3
-CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
 # An explanation may take as long as the search took, within these limits.
 EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
@@ -128,16 +128,29 @@ def _expect_sag(result: PlanResult) -> PlanResult:
     if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
         return result
     servo, notes = expect_sag(result.motion, result.robot, result.request, result.certificate)
-    return replace(result, servo=servo, notes=(*result.notes, *notes))
+    return replace(result, servo=servo, notes=(*result.notes, *notes, *_note_missed_margin(result)))
+
+
+def _note_missed_margin(result: PlanResult) -> Iterator[str]:
+    """Yield a sentence where a motion is clearly nearer to an obstacle than a margin that the request widened."""
+    options, certificate = result.request.options, result.certificate
+    pair = None if certificate is None else certificate.min_clearance_pair
+    if certificate is None or pair is None or options.margin_m <= Options().margin_m:
+        return
+    if {piece.name for piece in result.scene.pieces}.isdisjoint(pair):
+        return
+    if certificate.min_clearance_m < options.margin_m - CLEARANCE_TOLERANCE:
+        yield (
+            f"options.margin_m aims at {1e3 * options.margin_m:g} mm, and {pair[0]} comes within "
+            f"{1e3 * certificate.min_clearance_m:.0f} mm of {pair[1]}; "
+            "options.clearance_m or options.padding demand a distance"
+        )
 
 
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    sway = Sway(options.sway_m, options.sway_deg)
-    demanded = options.clearance_m + bound_largest_sway(setup.robot, sway)
-    margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
-    aims = Aims(margin, options.balance_margin_m, options.clearance_m, sway)
+    aims = Aims.of(options, setup.robot, find_padding(options.padding, setup.scene))
     try:
         body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     except StaticRegionError as error:

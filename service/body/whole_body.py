@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,11 +43,13 @@ from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
-from service.verify import NO_SWAY, PlantedContact, Sway
+from service.request.schema import Options
+from service.verify import NO_SWAY, PlantedContact, Sway, bound_largest_sway
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 CLEARANCE_TERMS = ("collision", "self-collision")
+CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the clearance margin [m]
 LEAST_APART = 5e-4  # between waypoints of pairs that are farther apart than the tolerance at an end [m]
@@ -74,12 +77,33 @@ class Aims:
         balance_margin: distance of the centre of mass inside the support polygon.
         clearance: demanded distance from the world, below which no motion is certified.
         sway: of a base that something else balances.
+        padding: what links and pieces add to that of their pairs, by name; a pair demands the sum, at least
+            ``clearance``.
     """
 
     margin: float = 0.02
     balance_margin: float = 0.02
     clearance: float = 0.0
     sway: Sway = NO_SWAY
+    padding: Mapping[str, float] = field(default_factory=dict)
+
+    @staticmethod
+    def of(options: Options, robot: RobotModel, padding: Mapping[str, float]) -> Aims:
+        """Return the margins of a request; a demanded clearance is aimed at with a reserve, and with a base's sway."""
+        sway = Sway(options.sway_m, options.sway_deg)
+        demanded = options.clearance_m + bound_largest_sway(robot, sway)
+        margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
+        return Aims(margin, options.balance_margin_m, options.clearance_m, sway, padding)
+
+    def list_padded(self, robot: RobotModel, scene: Scene) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+        """Return the margins of links and pieces whose padding demands more than the margin of all others."""
+        found = []
+        links = dict.fromkeys(body.link for body in robot.bodies if body.link not in robot.mechanism_links)
+        for link, piece in product(links, scene.pieces) if self.padding else ():
+            least = self.padding.get(link, 0.0) + self.padding.get(piece.name, 0.0)
+            if least + CLEARANCE_RESERVE_M > self.margin and least > 0.0:
+                found.append((BodyRef("robot", link), BodyRef("scene", None, piece.name), least + CLEARANCE_RESERVE_M))
+        return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -193,6 +217,11 @@ class WholeBody:
         """Checker without regard to a task or to ends; most others share its work space."""
         return self._make_checker((), ())
 
+    @cached_property
+    def _padded(self) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
+        """Margins of the pairs that padding keeps further apart."""
+        return self.aims.list_padded(self.robot, self.scene)
+
     def _make_checker(
         self, allowances: Sequence[Allowance], overrides: Sequence[tuple[BodyRef, BodyRef, float]]
     ) -> SweptCollisionChecker:
@@ -201,7 +230,7 @@ class WholeBody:
             self.scene,
             self.aims.margin,
             (*self.standing_allowances(), *allowances),
-            overrides,
+            (*self._padded, *overrides),
             SELF_SHARE * self.aims.margin,
         )
         return SweptCollisionChecker(self.robot, self.scene, margins, self.sight)

@@ -11,15 +11,18 @@ from contextlib import suppress
 from typing import Annotated, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from service.cli.bench import bench_command
 from service.cli.certify import certify_command
 from service.cli.export import export_command, state_command
+from service.cli.motions.batch import batch_command
 from service.cli.motions.move import move_app
 from service.cli.motions.task import task_app
 from service.cli.operation.execute import execute_command
 from service.cli.operation.orders import command_command
 from service.cli.operation.watch import watch_command
+from service.cli.options import read_defaults
 from service.cli.plan import plan_command, verify_command, view_command
 from service.cli.request import request_command
 from service.cli.review import review_command
@@ -68,6 +71,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("plan", epilog=LOCAL_EXIT_CODES)(plan_command)
+app.command("batch", epilog=LOCAL_EXIT_CODES)(batch_command)
 app.command("verify", epilog=VERIFY_EXIT_CODES)(verify_command)
 app.command("certify", epilog=LOCAL_EXIT_CODES)(certify_command)
 app.command("simulate", epilog=SIMULATION_EXIT_CODES)(simulate_command)
@@ -131,10 +135,13 @@ def _print_version(is_wanted: bool) -> None:
 
 @app.callback()
 def set_options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Take the options of the program itself."""
+    if isinstance(context.command, TyperGroup):
+        context.default_map = read_defaults(context.command)
     # Read by gRPC's C core when it is imported; commands and server report failed connections themselves.
     os.environ.setdefault("GRPC_VERBOSITY", "NONE")

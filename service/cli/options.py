@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup, TyperOption
 
 from service.request.choices import SensorModel
 
+CONFIG_VARIABLE = "SCOPT_CONFIG"
+CONFIG = Path("~/.config/scopt/config.yaml")
 Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON object on stdout.")]
 
 
@@ -89,6 +94,83 @@ class CloudOptions:
             "transforms": tuple(self.transforms or ()),
             "sensor": self.sensor[0] if self.sensor else None,
         }
+
+
+def read_defaults(program: TyperGroup) -> dict[str, Any]:
+    """Return the defaults of options by command and parameter that the user's configuration file gives.
+
+    The file ``$SCOPT_CONFIG``, else ``CONFIG`` if there is one, has a section for each command, with its long options
+    without dashes: ``plan: {seed: 3, quiet: true}``, ``task: {run: {out: plans}}``.
+
+    Raises:
+        typer.BadParameter: the file cannot be used: not there, no mapping, an unknown command or option.
+    """
+    stated = os.environ.get(CONFIG_VARIABLE)
+    path = (Path(stated) if stated else CONFIG).expanduser()
+    if not stated and not path.is_file():
+        return {}
+    from service.errors import RequestError
+    from service.request.plain_file import read_text, read_yaml
+
+    try:
+        data = read_yaml(read_text(path))
+    except RequestError as error:
+        raise typer.BadParameter(f"{path}: {error}") from None
+    return _map_defaults(program, data, str(path))
+
+
+def _map_defaults(command: Any, data: object, where: str) -> dict[str, Any]:
+    """Return a section of the configuration with the names of parameters in place of those of options."""
+    from service.errors import shown, would_do
+
+    if not isinstance(data, Mapping):
+        raise typer.BadParameter(f"{where}: expected a mapping of commands and options, got {shown(data)}")
+    if isinstance(command, TyperGroup):
+        commands = command.commands
+        for name in data:
+            if name not in commands:
+                raise typer.BadParameter(f"{where}: unknown command {shown(name)}; expected {would_do(name, commands)}")
+        return {name: _map_defaults(commands[name], own, f"{where}: {name}") for name, own in data.items()}
+    options = {
+        option.removeprefix("--"): parameter.name
+        for parameter in command.params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+        if isinstance(parameter, TyperOption) and option.startswith("--")
+    }
+    for name in data:
+        if name not in options:
+            raise typer.BadParameter(f"{where}: unknown option {shown(name)}; expected {would_do(name, list(options))}")
+    return {str(options[name]): value for name, value in data.items()}
+
+
+@dataclass(frozen=True)
+class PlanningOptions:
+    """What every command that plans on this machine takes, beside its request."""
+
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of all random draws, instead of the request's.", min=0, max=2**32 - 1)
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(help="Wall time in seconds, instead of the request's limit.", min=0.01, max=3600.0),
+    ] = None
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print every check and every start that was tried.")
+    ] = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress, and the verdict's line alone.")] = (
+        False
+    )
+
+    def __post_init__(self) -> None:
+        """Raise ``typer.BadParameter`` for options that exclude each other."""
+        if self.verbose and self.quiet:
+            raise typer.BadParameter("--verbose and --quiet exclude each other")
+
+    @property
+    def overrides(self) -> dict[str, Any]:
+        """Fields of a request's ``options`` that are given here."""
+        given = {"seed": self.seed, "time_limit_s": self.time_limit}
+        return {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)

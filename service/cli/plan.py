@@ -13,7 +13,7 @@ import typer
 from costs.stopping import stops_when
 from service.cli.command import command
 from service.cli.motions.planning import plan_and_write
-from service.cli.options import Json
+from service.cli.options import Json, PlanningOptions
 from service.cli.report import print_result
 from service.cli.run import cancellable, consoles, print_json, progress
 
@@ -31,6 +31,7 @@ def plan_command(
         Path,
         typer.Argument(help="Request file (YAML or JSON); with --from-phase an earlier result.", metavar="REQUEST"),
     ],
+    planning: PlanningOptions,
     cloud: Annotated[Path | None, typer.Option(help="Point cloud instead of the request's scene.cloud.")] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Result folder; by default out/NAME of the request.")
@@ -65,12 +66,6 @@ def plan_command(
     ] = None,
     scene: Annotated[Path | None, typer.Option(help="File that holds what a request's scene holds.")] = None,
     start: Annotated[Path | None, typer.Option(help="File that holds what a request's start holds.")] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(
-            help="Seconds a TrajOpt problem may take; 60 s of processor time by default.", min=0.01, max=3600.0
-        ),
-    ] = None,
     untimed: Annotated[
         bool,
         typer.Option("--untimed", help="Plan and certify the path of a TrajOpt problem alone: no speeds, no forces."),
@@ -93,17 +88,17 @@ def plan_command(
     name = request.stem if from_phase is None else f"{(request.parent if request.is_file() else request).name}-rest"
     folder = out if out is not None else Path("out") / name
     paths = (robot, srdf, package_root, floating, scene, start)
-    if not trajopt and (untimed or no_torque or {*paths, time_limit} != {None}):
+    if not trajopt and (untimed or no_torque or set(paths) != {None}):
         raise typer.BadParameter(
-            "--robot, --srdf, --package-root, --floating-base, --scene, --start, --time-limit, --untimed and "
-            "--no-torque go with --trajopt; a request holds all of them"
+            "--robot, --srdf, --package-root, --floating-base, --scene, --start, --untimed and --no-torque "
+            "go with --trajopt; a request holds all of them"
         )
 
     def read() -> tuple[PlanRequest, Surroundings | None]:
         if trajopt:
             from service.trajopt.request import TrajoptFiles, load_trajopt_request
 
-            files = TrajoptFiles(*paths, time_limit, is_timed=not untimed, checks_torque=not no_torque)
+            files = TrajoptFiles(*paths, planning.time_limit, is_timed=not untimed, checks_torque=not no_torque)
             return _see(load_trajopt_request(request, files), cloud), None
         if from_phase is not None:
             return _read_rest(request, from_phase, state, cloud, adjust or [], is_compliant=compliant)
@@ -111,7 +106,7 @@ def plan_command(
 
         return _see(load_request(request), cloud), None
 
-    return plan_and_write(read, folder, as_json=as_json)
+    return plan_and_write(read, folder, planning, as_json=as_json)
 
 
 def _check_rest_options(phase: str | None, state: Path | None, adjust: Sequence[str], *, is_compliant: bool) -> None:

@@ -12,6 +12,7 @@ from rich.text import Text
 
 if TYPE_CHECKING:
     from service.result.folder import ResultFiles
+    from service.result.result import PlanResult
 
 SEEN_TOUCH_M = 1e-4  # smaller overlaps are those of feet that rest on a floor
 HIT_COLUMNS = ("kind", "confidence", "position (m)", "sizes", "fit", "against it")
@@ -19,6 +20,7 @@ MARGIN_SLACK = 1e-7  # of the last digit, so that a written decimal stays itself
 NAMED_LINKS = 3  # links without shape that are named in the verdict's line
 SMALL_LINK_M = 0.05  # that of the verifier, which is slow to import (tests/cli/test_cli_report.py compares them)
 MESH_COLUMNS = ("mesh", "place", "confidence", "position (m)", "pieces", "residuals")
+TRIED_COLUMNS = ("step", "tried start", "CPU [s]", "steps", "solved")
 _COLOURS = {
     "CERTIFIED": "green",
     "DONE": "green",
@@ -31,13 +33,23 @@ _COLOURS = {
 }
 
 
-def print_result(out: Console, summary: Mapping[str, Any], lines: Mapping[str, object] | None = None) -> None:
+def print_result(
+    out: Console, summary: Mapping[str, Any], lines: Mapping[str, object] | None = None, *, is_verbose: bool = False
+) -> None:
     """Print findings, figures, ``lines`` with their labels, and the verdict of a summary (``summary_json``)."""
-    print_findings(out, summary)
+    print_findings(out, summary, is_verbose=is_verbose)
     print_figures(out, summary)
     for label, value in (lines or {}).items():
         print_line(out, label, value)
     print_verdict(out, summary)
+
+
+def list_tried(result: PlanResult) -> list[tuple[str, ...]]:
+    """Return ``TRIED_COLUMNS`` for every start of a search."""
+    return [
+        (own.step, own.start, f"{own.cpu_s:.2f}", str(own.n_steps), "yes" if own.is_feasible else "no")
+        for own in result.tried
+    ]
 
 
 def list_files(files: ResultFiles | None, summary: Mapping[str, Any]) -> dict[str, object]:
@@ -52,11 +64,11 @@ def print_line(out: Console, label: str, value: object) -> None:
     out.print(f"{label:<16} {value}", markup=False, soft_wrap=True)
 
 
-def print_findings(out: Console, summary: Mapping[str, Any]) -> None:
+def print_findings(out: Console, summary: Mapping[str, Any], *, is_verbose: bool = False) -> None:
     """Print the table of checks, the pairs that touch, the explanation and the notes; missing keys are skipped."""
     checks = summary.get("checks") or []
     if checks:
-        out.print(_make_check_table(_select_tightest(checks)))
+        out.print(_make_check_table(checks if is_verbose else _select_tightest(checks)))
     touching = _select_deepest(summary.get("exempt") or [])
     if touching:
         print_table(out, ("pair that may touch", "deepest", "allowed", "phase"), touching)

@@ -43,9 +43,9 @@ def review_command(
     """Accept or reject a plan of a server, or withdraw its approval.
 
     The review is bound to the verdict and to the hashes of the trajectory, the certificate and the viewer's page that
-    are shown. An acceptance is valid for --valid-days; that of a plan without CERTIFIED needs --despite. Without
-    --accept, --reject or --revoke, the plan and its reviews are shown. With --out, its files are fetched, with
-    approval.json and revocation.json if the server signs them.
+    are shown. An acceptance is valid for --valid-days; that of a plan without CERTIFIED needs --despite. The decision
+    and its reviews are shown first, then the plan. With --out, its files are fetched, with approval.json and
+    revocation.json if the server signs them.
     """
     from service.cli.connect import connect
     from service.client.answers import summarize
@@ -63,14 +63,6 @@ def review_command(
         if not record.HasField("result"):
             state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
             raise RequestError(f"plan {plan_id} is {state}; expected a finished plan")
-        if not as_json:
-            lines = {
-                "trajectory": record.result.trajectory.sha256 or "none",
-                "certificate": record.result.certificate.sha256 or "none",
-                "page": record.page_sha256 or "none",
-                **({} if files is None else {"viewer": files.viewer}),
-            }
-            print_result(stdout, summarize(record.result), lines)
         if is_revoked:
             client.revoke(record, comment=comment)
         elif is_accepted is not None:
@@ -92,10 +84,17 @@ def review_command(
             }
         )
         return
-    if rows:
-        print_table(stdout, _COLUMNS, rows)
     state = "approved" if record.is_approved else "not approved"
     stdout.print(f"plan {record.plan_id} is {state}", markup=False, soft_wrap=True)
+    if rows:
+        print_table(stdout, _COLUMNS, rows)
+    lines = {
+        "trajectory": record.result.trajectory.sha256 or "none",
+        "certificate": record.result.certificate.sha256 or "none",
+        "page": record.page_sha256 or "none",
+        **({} if files is None else {"viewer": files.viewer}),
+    }
+    print_result(stdout, summarize(record.result), lines)
 
 
 def list_reviews(record: PlanRecord) -> list[tuple[str, ...]]:

@@ -40,11 +40,19 @@ def robots_command(
     write_srdf: Annotated[
         Path | None, typer.Option(help="With check: write an SRDF that leaves out the pairs.", metavar="FILE")
     ] = None,
+    decompose: Annotated[
+        list[str] | None,
+        typer.Option(help="With --out: link whose meshes are split into convex parts; repeatable.", metavar="LINK"),
+    ] = None,
+    out_folder: Annotated[
+        Path | None, typer.Option("--out", help="With --decompose: folder for the URDF and its meshes.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """List the bundled robots, or what a robot has: joints with limits, links with shapes, groups and postures.
 
-    With 'check', list the link pairs that are not checked against each other and those that overlap at rest.
+    With 'check', list the link pairs that are not checked against each other and those that overlap at rest. With
+    --decompose, write the robot with convex parts in place of concave meshes, whose hulls fill their hollows.
     """
     words = list(robot or ())
     is_check = words[:1] == [CHECK]
@@ -53,11 +61,16 @@ def robots_command(
         raise typer.BadParameter(f"expected {'check and ' if is_check else ''}one robot, got {len(words)}")
     if write_srdf is not None and not is_check:
         raise typer.BadParameter("--write-srdf goes with: scopt robots check NAME_OR_URDF")
+    if bool(decompose) != (out_folder is not None) or (decompose and (is_check or not words)):
+        raise typer.BadParameter("--decompose LINK and --out FOLDER come together, with a URDF and without check")
     out = consoles()[0]
     if not words:
         _list_bundled(out, as_json)
         return
     model = _load(words[0], srdf, package_dir or [], root)
+    if decompose and out_folder is not None:
+        _decompose(out, model, decompose, out_folder, as_json)
+        return
     if is_check:
         _check(out, model, write_srdf, as_json)
         return
@@ -68,6 +81,17 @@ def robots_command(
         print_json(described)
     else:
         _print_robot(out, described)
+
+
+def _decompose(out: Console, model: RobotModel, links: list[str], folder: Path, as_json: bool) -> None:
+    from service.scan.split_links import URDF_NAME, write_split_robot
+
+    parts = write_split_robot(model, links, folder)
+    if as_json:
+        print_json({"urdf": str(folder / URDF_NAME), "parts": parts})
+        return
+    print_table(out, ("link", "convex parts"), [(link, str(count)) for link, count in parts.items()])
+    out.print(f"robot: {{urdf: {folder / URDF_NAME}, package_dirs: [{folder}]}}", markup=False, soft_wrap=True)
 
 
 def _load(name: str, srdf: Path | None, package_dirs: list[Path], root: str | None) -> RobotModel:
@@ -113,7 +137,8 @@ def _check(out: Console, model: RobotModel, write_srdf: Path | None, as_json: bo
         print_table(out, ("link", "link", "overlap in the posture", "depth"), shown)
         out.print(
             "\nA start in such a posture is refused. An SRDF may leave the pairs out (disable_collisions); the "
-            "certificate then says what it does not cover."
+            "certificate then says what it does not cover. Where a link's mesh is concave, --decompose LINK --out "
+            "FOLDER writes the robot with convex parts in its place."
         )
     else:
         out.print("No links overlap at rest.")

@@ -39,6 +39,7 @@ EXIT_CODES = {
     "DIFFERS": 10,
     "HELD_BEFORE": 9,
     "DAMAGED": 74,
+    "LOST": 70,
 }
 EXIT_INTERNAL = 70
 INTERNAL_ERROR = "INTERNAL_ERROR"
@@ -192,8 +193,11 @@ def ended_by_sigterm() -> Iterator[None]:
 
 
 @contextmanager
-def progress(stderr: Console, first_step: str) -> Iterator[Report]:
-    """Show a progress bar, or one line per new step if stderr is no terminal."""
+def progress(stderr: Console, first_step: str, *, is_quiet: bool = False) -> Iterator[Report]:
+    """Show a progress bar, or one line per new step if stderr is no terminal; nothing where it is to be quiet."""
+    if is_quiet:
+        yield lambda step, fraction: None
+        return
     if not stderr.is_terminal:
         seen: set[str] = set()
 

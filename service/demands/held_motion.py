@@ -17,6 +17,7 @@ from costs.robot.carried import MovableObject
 from costs.scene import Scene
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase import TaskPhase
+from service.demands.scene import find_padding
 from service.demands.stance import (
     Stance,
     list_planted_feet,
@@ -122,6 +123,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     sway = Sway(options.sway_m, options.sway_deg)
     if recorded.sway != sway:
         differences.append("the record lets the base sway in another way than the request")
+    padding = find_padding(options.padding, demands.world.scene)
+    if recorded.padding != padding:
+        differences.append("the record demands another padding than the request")
     if recorded.jerk_scale != options.jerk_scale:
         differences.append("the record limits the jerk in another way than the request")
     if recorded.tool_speed_m_s != options.tool_speed_m_s:
@@ -143,8 +147,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
-        clearance_m=demands.request.options.clearance_m,
+        clearance_m=options.clearance_m,
         sway=sway,
+        padding=padding,
         jerk_scale=options.jerk_scale,
         tool_speed_m_s=options.tool_speed_m_s,
         pace=options.pace,

@@ -32,7 +32,7 @@ class ReachSession:
     """A robot that reaches for one goal after another, each from where the last plan that was found ended.
 
     Robot and scan are read once.  A search begins with an earlier motion of the session whose ends are near the new
-    ones, forwards or backwards, if there is one.  Each plan gets a certificate of its own, as any other.
+    ones, forwards or backwards; a note says where there is none.  Each plan gets a certificate of its own.
 
     Attributes:
         last: the last result; None before the first.
@@ -78,14 +78,21 @@ class ReachSession:
             self._q = prepare(request, robot=self._robot, around=self._around, checks_start=False).start
         elif self.last is not None:
             request = replace(request, start=self._write_start())
+        chosen = self._choose_path(request.goal)
         result = plan(
             request,
             should_stop=should_stop,
             robot=self._robot,
             around=self._around,
             clock=clock,
-            start_from=self._choose_path(request.goal),
+            start_from=chosen,
         )
+        if self._paths and chosen is None:
+            note = (
+                f"start_from: none of {len(self._paths)} earlier motions leads from within {NEAR:g} rad or m of the "
+                "start to as near the goal; the motion is searched anew"
+            )
+            result = replace(result, notes=(*result.notes, note))
         if result.verdict in REACHED:
             self._q = result.waypoints[-1]
             self._paths = [*self._paths, result.waypoints][-MOST_KEPT:]

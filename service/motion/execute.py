@@ -70,6 +70,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         releases=body.releases,
         clearance_m=body.aims.clearance,
         sway=body.aims.sway,
+        padding=body.aims.padding,
         jerk_scale=None if timing is None else timing.jerk_scale,
         tool_speed_m_s=None if timing is None else timing.tool_speed_m_s,
         pace=None if timing is None else timing.pace,

@@ -20,6 +20,7 @@ from scopt import Cost, Iteration, Settings, TrustRegionSQP
 from service.body.holds import POSITION, ROTATION, Hold
 from service.body.inverse_kinematics import solve_holds
 from service.body.whole_body import Aims, WholeBody
+from service.demands import find_padding
 from service.demands.stance import Stance, make_standing_allowances
 from service.errors import RequestError
 from service.posing.drag import Drag, DragTarget, LedPose, Move
@@ -72,7 +73,8 @@ class PoseWorld:
 
         Margins and clearance are those of ``options``.
         """
-        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m)
+        padding = find_padding(options.padding, scene)
+        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m, padding)
         return PoseWorld(WholeBody.standing(robot, scene, q, feet, aims), aims.clearance)
 
     @property
@@ -101,7 +103,7 @@ class PoseWorld:
             support=stance.support("pose", body.nominal),
             allowances=make_standing_allowances(stance.contacts, body.scene),
         )
-        return RestingPoses(self.robot, body.scene, phase, body.nominal, self.clearance_m)
+        return RestingPoses(self.robot, body.scene, phase, body.nominal, self.clearance_m, body.aims.padding)
 
     def find_problems(self, drag: Drag) -> list[str]:
         """Return what of a drag the robot does not have, a sentence each."""

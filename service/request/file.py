@@ -28,6 +28,7 @@ __all__ = [
     "read_plain_request",
     "replace_cloud",
     "replace_clouds",
+    "replace_options",
     "request_hash",
     "to_json",
 ]
@@ -79,6 +80,13 @@ def parse_request(data: object, folder: str | Path = ".") -> PlanRequest:
 def replace_cloud(request: PlanRequest, cloud: Path) -> PlanRequest:
     """Return the request with another cloud file, whose path is relative to the working directory."""
     return _with_scene(request, cloud=_relative(request, cloud))
+
+
+def replace_options(request: PlanRequest, changes: Mapping[str, Any]) -> PlanRequest:
+    """Return the request with other values of some fields of its options; the same one without changes."""
+    if not changes:
+        return request
+    return dataclasses.replace(request, options=dataclasses.replace(request.options, **changes))
 
 
 def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:

@@ -163,6 +163,8 @@ class Options(Section):
         clearance_m: demanded distance of the robot from every obstacle that it may not touch; no certificate below it.
         sway_m, sway_deg: how far and by which angle something else that balances the robot lets its base move; within
             them clearance and reach hold.
+        padding: what single links, carried bodies and obstacles add to the demanded distance of their pairs, by name: a
+            pair of both demands the sum, at least ``clearance_m``.
         seed: seed of every random draw.
         balance_margin_m: smallest distance of the balance point from the support polygon's edges.
         feet: links planted at the start; by default the robot's feet.
@@ -186,6 +188,9 @@ class Options(Section):
     clearance_m: Annotated[Number, Field(ge=0.0, le=0.5)] = 0.0
     sway_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.0
     sway_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = 0.0
+    padding: Annotated[dict[Name, Annotated[Number, Field(gt=0.0, le=0.5)]], at_most(1000)] = field(
+        default_factory=dict
+    )
     seed: Annotated[StrictInt, Field(ge=0, lt=2**32)] = 0
     balance_margin_m: Annotated[Number, Field(ge=0.0, le=0.2)] = 0.02
     feet: Annotated[tuple[Name, ...], at_most(8)] | None = None

@@ -76,6 +76,7 @@ ADDED = {
         "Options.hand_friction",
         "Options.jerk_scale",
         "Options.pace",
+        "Options.padding",
         "Options.sway_deg",
         "Options.sway_m",
         "Options.tool_speed_m_s",

@@ -135,6 +135,7 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         "clearance_m": result.request.options.clearance_m,
         "sway_m": result.request.options.sway_m,
         "sway_deg": result.request.options.sway_deg,
+        "padding": dict(result.request.options.padding),
         "jerk_scale": result.request.options.jerk_scale,
         "tool_speed_m_s": result.request.options.tool_speed_m_s,
         "pace": result.request.options.pace,

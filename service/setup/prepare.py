@@ -16,7 +16,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.kept import Kept, make_kept_poses
-from service.demands import World, compose_scene
+from service.demands import World, check_padding, compose_scene
 from service.demands.contacts.stances import ContactStance
 from service.demands.kind import ResolvedStart, find_demand_part
 from service.errors import RequestError
@@ -146,6 +146,7 @@ def prepare(
     check_given_objects(request, robot, start, obstacles)
     pieces, moved = move_floor_to_soles(around.pieces, soles)
     scene, renamed = compose_scene(request, robot, start, pieces, obstacles)
+    check_padding(request.options.padding, robot, scene)
     stances = find_demand_part(request).list_stances(request.section, World(request, robot, start, scene))
     announce("check start")
     with _timed(timings, "check_start"):

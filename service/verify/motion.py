@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -478,6 +479,8 @@ class Motion:
         continues: hash of the certificate of the plan whose task this motion continues, or None.
         clearance_m: demanded distance of the robot from every piece that it may not touch [m].
         sway: of the base, within which clearance and reach hold.
+        padding: what links and pieces add to the demanded distance of a link from a piece, by name [m]: the pair
+            demands the sum, at least ``clearance_m``.
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: name of ``service.request.paces``, whose margins the timed motion keeps; None for none.
@@ -496,6 +499,7 @@ class Motion:
     continues: str | None = None
     clearance_m: float = 0.0
     sway: Sway = NO_SWAY
+    padding: Mapping[str, float] = field(default_factory=dict)
     jerk_scale: float | None = None
     tool_speed_m_s: float | None = None
     pace: str | None = None

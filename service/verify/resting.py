@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +87,7 @@ class RestingPoses:
         phase: planted links, support and allowances; targets, loads and regions do not belong to a pose at rest.
         q: (n,) a configuration of the robot [rad, m].
         clearance_m: demanded distance from pieces that may not be touched [m].
+        padding: what links and pieces add to it, by name [m]; see ``Motion``.
         horizon_m: pairs beyond it are not measured [m].
         sight_m: all pairs that are at most so much nearer than allowed plus this are measured [m].
 
@@ -101,11 +102,13 @@ class RestingPoses:
         phase: Phase,
         q: Float[np.ndarray, "n"],
         clearance_m: float = 0.0,
+        padding: Mapping[str, float] | None = None,
         horizon_m: float = 0.1,
         sight_m: float = 0.025,
     ) -> None:
         self._phase = replace(phase, first=0.0, last=1.0)
-        self._clearance_m, self._horizon_m, self._sight_m = clearance_m, horizon_m, sight_m
+        self._clearance_m, self._padding = clearance_m, dict(padding or {})
+        self._horizon_m, self._sight_m = horizon_m, sight_m
         self._robot, self._scene = robot, scene
         motion = self._stand(q)
         validate_motion(motion)
@@ -142,7 +145,9 @@ class RestingPoses:
         """Return the motion that stays at a pose for an instant."""
         curve = Curve(np.array([0.0, 1.0]), np.stack([q, q]), np.zeros((2, len(q))))
         law = TimeLaw(np.array([0.0, _INSTANT_S]), np.array([0.0, 1.0]), np.full(2, 1.0 / _INSTANT_S))
-        return Motion(self._robot, self._scene, curve, law, (self._phase,), clearance_m=self._clearance_m)
+        return Motion(
+            self._robot, self._scene, curve, law, (self._phase,), clearance_m=self._clearance_m, padding=self._padding
+        )
 
     def _check_positions(self, q: Float[np.ndarray, "n"]) -> Check:
         excess = np.maximum(self._robot.lower - q, q - self._robot.upper)
@@ -214,7 +219,7 @@ class RestingPoses:
         found, nearest = [], self._horizon_m
         for row in np.argsort(floor, kind="stable").tolist():
             if floor[row] >= max(nearest, least[row] + self._sight_m):
-                if floor[row] >= max(nearest, self._clearance_m + self._sight_m):
+                if floor[row] >= max(nearest, float(table.demanded.max()) + self._sight_m):
                     break
                 continue
             mover, holder = table.solids[table.mover[row]], table.solids[table.holder[row]]

@@ -132,7 +132,7 @@ def test_a_plan_is_approved_by_a_reviewer_and_returned_again_for_its_request_id(
     assert accepted["is_approved"]
     assert accepted["reviews"][0]["reviewer"] == "review-desk"
     rejected = served.scopt("review", "review", first["plan_id"], "--reject", "--comment", "too close")
-    assert rejected.stdout.splitlines()[-1] == f"plan {first['plan_id']} is not approved"
+    assert rejected.stdout.splitlines()[0] == f"plan {first['plan_id']} is not approved"
 
 
 def test_the_status_needs_a_token_with_its_role(served: Served) -> None:

@@ -112,6 +112,10 @@ def test_a_session_goes_back_by_the_way_it_came(request_past_the_post: PlanReque
     assert there.found_from != "earlier motion"
     assert back.found_from == "earlier motion"
     assert np.allclose(back.start, there.waypoints[-1], atol=1e-12)
+    assert not any("earlier motions" in note for note in back.notes)
+    away = session.plan(GoalRequest(joints=shift(SIDES[0], -1.5)))
+    assert away.verdict is Verdict.CERTIFIED
+    assert any(note.startswith("start_from: none of 2 earlier motions leads") for note in away.notes)
 
 
 def test_a_session_may_be_told_where_the_robot_is(request_past_the_post: PlanRequest) -> None:

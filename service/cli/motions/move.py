@@ -11,7 +11,7 @@ import typer
 from service.cli.command import command
 from service.cli.motions.planning import plan_and_write
 from service.cli.motions.task import read_settings
-from service.cli.options import Json
+from service.cli.options import Json, PlanningOptions
 
 if TYPE_CHECKING:
     from service.request.schema import PlanRequest
@@ -24,8 +24,8 @@ ROTATION_HELP = "Turn about x, then y, then z [deg]."
 
 
 @dataclass(frozen=True)
-class WhereOptions:
-    """Robot, state and surroundings of a motion."""
+class WhereOptions(PlanningOptions):
+    """Robot, state and surroundings of a motion, and how it is planned."""
 
     request: Annotated[Path | None, typer.Option(help="Request file with robot, start and scene.")] = None
     robot: Annotated[str, typer.Option(help="Bundled robot, without --request.")] = "atlas"
@@ -55,7 +55,7 @@ class HandOptions:
 def _plan(name: str, step: dict[str, Any], where: WhereOptions, *, as_json: bool) -> str:
     """Plan one step, write its result; return the verdict."""
     folder = where.out if where.out is not None else Path("out") / f"move-{name}"
-    return plan_and_write(lambda: (read_move_request(step, where), None), folder, as_json=as_json)
+    return plan_and_write(lambda: (read_move_request(step, where), None), folder, where, as_json=as_json)
 
 
 def read_move_request(step: dict[str, Any], where: WhereOptions) -> PlanRequest:

@@ -10,7 +10,7 @@ import typer
 
 from service.cli.command import command
 from service.cli.motions.planning import plan_and_write
-from service.cli.options import Json
+from service.cli.options import Json, PlanningOptions
 from service.cli.report import print_table
 from service.cli.run import consoles, print_json
 
@@ -74,6 +74,7 @@ def _describe(file: TaskFile) -> dict[str, Any]:
 @command(has_verdict=True)
 def run_command(
     name: Annotated[str, typer.Argument(help="Name of a task file.", metavar="NAME")],
+    planning: PlanningOptions,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Value of a parameter; may be given again.", metavar="NAME=VALUE")
     ] = None,
@@ -91,7 +92,10 @@ def run_command(
     """
     folder = out if out is not None else Path("out") / name
     return plan_and_write(
-        lambda: (read_task_request(name, settings or (), cloud, request, robot), None), folder, as_json=as_json
+        lambda: (read_task_request(name, settings or (), cloud, request, robot), None),
+        folder,
+        planning,
+        as_json=as_json,
     )
 
 

@@ -189,11 +189,13 @@ def _summary_check(parts: Sequence[_Stretch], smallest: float, names: tuple[str,
         for part in parts
         for (pair, phase), distance in part.examined.proof.deepest.items()
     )
-    demanded = parts[0].prepared.motion.clearance_m
+    motion = parts[0].prepared.motion
+    demanded = motion.clearance_m
     text += f", {1e3 * demanded:g} mm from the world as demanded" if demanded else ""
-    sway = parts[0].prepared.motion.sway
+    sway = motion.sway
     if sway:
         text += f", also while the base sways by {1e3 * sway.distance_m:g} mm and {sway.angle_deg:g} deg"
+    text += ", the padding of links and obstacles kept" if motion.padding else ""
     text += ", pairs that may touch aside" if is_touching else ""
     return Check("clearance", True, smallest, 0.0, "m", text, None, Basis.PROOF)
 

@@ -131,8 +131,11 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     phases = [_allowed(phase.allowances, index)[mover, holder] for phase in motion.phases]
     allowed = np.stack(phases, axis=1) if phases else np.full((len(mover), 1), np.nan)
     is_own = np.array([solid.link not in motion.mechanism_links for solid in bodies], dtype=bool)
-    wanted = motion.clearance_m + bound_sways(tree, motion.robot.bodies, motion.sway)
-    demanded = np.where(is_own[mover] & (holder >= len(bodies)), wanted[mover], 0.0)
+    sways = bound_sways(tree, motion.robot.bodies, motion.sway)
+    # Names of links and pieces differ, so that one table has both.
+    added = np.array([motion.padding.get(s.link if s.link else s.name, 0.0) for s in solids])
+    least = np.maximum(motion.clearance_m, added[mover] + added[holder])
+    demanded = np.where(is_own[mover] & (holder >= len(bodies)), least + sways[mover], 0.0)
     world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
     return PairTable(
         solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), JointChain.stack(())

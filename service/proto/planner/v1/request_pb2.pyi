@@ -1550,7 +1550,14 @@ class Keep(_message.Message):
     def __init__(self, link: _Optional[str] = ..., relative_to: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., position_tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., free_axis: _Optional[_Union[FreeAxis, str]] = ..., region: _Optional[_Union[Region, _Mapping]] = ..., look_at: _Optional[_Iterable[float]] = ..., look_axis: _Optional[str] = ..., after: _Optional[float] = ..., until: _Optional[float] = ...) -> None: ...
 
 class Options(_message.Message):
-    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "jerk_scale", "tool_speed_m_s", "pace", "sway_m", "sway_deg")
+    __slots__ = ("waypoints", "time_limit_s", "margin_m", "seed", "balance_margin_m", "feet", "starts", "qp", "velocity_scale", "acceleration_scale", "timed", "escape", "hand_friction", "clearance_m", "padding", "jerk_scale", "tool_speed_m_s", "pace", "sway_m", "sway_deg")
+    class PaddingEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     TIME_LIMIT_S_FIELD_NUMBER: _ClassVar[int]
     MARGIN_M_FIELD_NUMBER: _ClassVar[int]
@@ -1565,6 +1572,7 @@ class Options(_message.Message):
     ESCAPE_FIELD_NUMBER: _ClassVar[int]
     HAND_FRICTION_FIELD_NUMBER: _ClassVar[int]
     CLEARANCE_M_FIELD_NUMBER: _ClassVar[int]
+    PADDING_FIELD_NUMBER: _ClassVar[int]
     JERK_SCALE_FIELD_NUMBER: _ClassVar[int]
     TOOL_SPEED_M_S_FIELD_NUMBER: _ClassVar[int]
     PACE_FIELD_NUMBER: _ClassVar[int]
@@ -1584,12 +1592,13 @@ class Options(_message.Message):
     escape: bool
     hand_friction: _containers.RepeatedScalarFieldContainer[float]
     clearance_m: float
+    padding: _containers.ScalarMap[str, float]
     jerk_scale: float
     tool_speed_m_s: float
     pace: Pace
     sway_m: float
     sway_deg: float
-    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ..., jerk_scale: _Optional[float] = ..., tool_speed_m_s: _Optional[float] = ..., pace: _Optional[_Union[Pace, str]] = ..., sway_m: _Optional[float] = ..., sway_deg: _Optional[float] = ...) -> None: ...
+    def __init__(self, waypoints: _Optional[int] = ..., time_limit_s: _Optional[float] = ..., margin_m: _Optional[float] = ..., seed: _Optional[int] = ..., balance_margin_m: _Optional[float] = ..., feet: _Optional[_Iterable[str]] = ..., starts: _Optional[int] = ..., qp: _Optional[_Union[QpSolver, str]] = ..., velocity_scale: _Optional[float] = ..., acceleration_scale: _Optional[float] = ..., timed: bool = ..., escape: bool = ..., hand_friction: _Optional[_Iterable[float]] = ..., clearance_m: _Optional[float] = ..., padding: _Optional[_Mapping[str, float]] = ..., jerk_scale: _Optional[float] = ..., tool_speed_m_s: _Optional[float] = ..., pace: _Optional[_Union[Pace, str]] = ..., sway_m: _Optional[float] = ..., sway_deg: _Optional[float] = ...) -> None: ...
 
 class Resume(_message.Message):
     __slots__ = ("phase", "plan", "mechanism", "is_rescanned", "stroke", "handle", "leaf", "hold", "nominal", "is_compliant")
