@@ -28,7 +28,6 @@ from service.request.tasks.steps import PressStep, StepRequest, StepsSection
 BEYOND_M = 1e-3  # from the end of a press to the stop of the part
 FREE_M, LEAST_DEPTH_M = 2e-3, 1e-3  # behind a part that is pushed in; thickness of a part
 OUT_M = 0.08  # of the line on which a hand comes to a part that it presses
-GIVES_N_M, GAP_M, MOST_INTO_M = 8e3, 1e-3, 4e-3  # by which servos give way, and how deep the tip is led for that
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,6 @@ def make_pressed_part(press: PressStep, index: int) -> MechanismRequest:
     height = press.travel_m + 0.005 if press.height_m is None else press.height_m
     depth = max(height - press.travel_m - FREE_M, LEAST_DEPTH_M)  # so that it is before its wall when it is pushed in
     part, joint = f"pressed_{index + 1}", f"press_{index + 1}"
-    into = min(GAP_M + press.force_n / GIVES_N_M, MOST_INTO_M, 0.5 * (height - press.travel_m))
     size = f"{press.size_m:.9g} {press.size_m:.9g} {depth:.9g}"
     urdf = (
         f'<robot name="{part}"><link name="{part}_base"/><link name="{part}">'
@@ -139,7 +137,7 @@ def make_pressed_part(press: PressStep, index: int) -> MechanismRequest:
         f'<axis xyz="0 0 1"/><limit lower="0" upper="{press.travel_m + BEYOND_M:.9g}" velocity="1" effort="1000"/>'
         "</joint></robot>"
     )
-    handle = MechanismHandleRequest(part, (0.0, 0.0, into), (0.0, 0.0, 1.0), "tip", (0.0, 0.0, -OUT_M))
+    handle = MechanismHandleRequest(part, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), "tip", (0.0, 0.0, -OUT_M))
     return MechanismRequest(
         urdf,
         handle,
