@@ -127,6 +127,8 @@ bench-tasks: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.given $(BENCH_ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.scanned $(SCAN_ARGS)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.objects $(OBJECT_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.circles $(CIRCLE_ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.tasks.arms
 
 bench-starts: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.planning.starts $(BENCH_ARGS)

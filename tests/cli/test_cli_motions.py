@@ -119,3 +119,13 @@ def test_a_motion_begins_at_the_state_of_a_file(tmp_path: Path) -> None:
     step = {"move": {"posture": "stand"}}
     request = read_move_request(step, WhereOptions(state=tmp_path / "state.yaml"))
     assert request.start.posture == "reach_ready"
+
+
+def test_freeze_keeps_every_joint_above_the_legs(planned: list[Any], tmp_path: Path) -> None:
+    state = tmp_path / "state.yaml"
+    state.write_text("posture: reach_ready\njoints: {r_arm_elx: -0.7}\n")
+    run("move", "freeze", "--state", str(state))
+    (step,) = planned[0].task.steps
+    assert step.move.joints["r_arm_elx"] == -0.7
+    assert {"back_bkz", "neck_ry", "l_arm_wry2"} <= step.move.joints.keys()
+    assert not any("leg" in name for name in step.move.joints)

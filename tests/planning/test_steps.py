@@ -222,6 +222,10 @@ def test_two_parts_are_pressed_in_one_plan() -> None:
         ({}, "exactly one of"),
         ({"follow": {"hand": "left", "face": {"point": [1, 0, 1], "normal": [1, 0, 0], "pieces": ["wal"]},
                      "polyline": [[1, 0, 1], [1, 0.1, 1]]}}, "unknown piece 'wal'; expected wall"),
+        ({"follow": {"hand": "left", "face": {"point": [0.8, 0, 1], "normal": [-1, 0, 0], "pieces": ["wall"]},
+                     "circle": {"centre": [0.8, 0.9, 1.2], "radius_m": 0.2}}}, "100 mm beyond wall"),
+        ({"follow": {"hand": "left", "face": {"point": [0.8, 0, 1], "normal": [-1, 0, 0], "pieces": ["wall"]},
+                     "polyline": [[0.8, 0.5, 1.2], [0.8, 0.5, 2.5]]}}, "100 mm beyond wall"),
     ],
 )  # fmt: skip
 def test_a_wrong_step_is_refused_with_its_field(step: dict[str, Any], problem: str) -> None:

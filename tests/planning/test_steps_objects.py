@@ -12,6 +12,9 @@ import pytest
 
 from benchmarks.attack.gantry_files import write_gantry
 from benchmarks.attack.step_requests import DEPTH, INTO, TOP, peg_request
+from service.demands.regions import SMALLEST_TURN
+from service.demands.steps.compile import LEVEL_DEG
+from service.demands.steps.extent import NamedStep
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
@@ -43,6 +46,15 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
     assert checks["keep.in.peg.world"]["limit"] == pytest.approx(0.002)  # chamfer and half of the clearance
     assert checks["keep.in.peg.world.rotation"]["limit"] == pytest.approx(0.002 / (0.6 * 0.042))
     assert {"rests.take: close.peg", "grip.across.peg", "rests.let go: open.peg"} <= checks.keys()
+    level = max(np.deg2rad(LEVEL_DEG), SMALLEST_TURN)  # it is put down later
+    assert checks["target.across.peg.rotation"]["limit"] == pytest.approx(level)
+
+
+def test_what_a_later_step_releases_is_known_to_every_step_before(urdf: Path) -> None:
+    named = NamedStep.list_all(parse_request(peg_request(urdf)).section)  # type: ignore[arg-type]
+    (last,) = [k for k, own in enumerate(named) if own.step.release is not None]
+    assert [own.sets_down for own in named] == [{"peg"} if k < last else set() for k in range(len(named))]
+    assert [own.lands for own in named] == [("peg" if k == last - 1 else None) for k in range(len(named))]
 
 
 def test_a_plan_goes_on_with_what_the_hand_holds(urdf: Path) -> None:

@@ -202,6 +202,42 @@ def preset_command(
     return _plan("preset", {"move": _with_duration({"posture": posture}, duration)}, where, as_json=as_json)
 
 
+@command(has_verdict=True)
+def freeze_command(
+    where: WhereOptions,
+    duration: Annotated[float | None, typer.Option(help="Duration [s].")] = None,
+    as_json: Json = False,
+) -> str:
+    """Keep arms, spine and neck where they are, and stand in balance."""
+
+    def make_request() -> tuple[PlanRequest, None]:
+        plain = read_move_request({"move": {"posture": "stand"}}, where)
+        move = {"joints": read_upper_joints(plain), "along": "free"}
+        return read_move_request({"move": _with_duration(move, duration)}, where), None
+
+    folder = where.out if where.out is not None else Path("out") / "move-freeze"
+    return plan_and_write(make_request, folder, as_json=as_json)
+
+
+def read_upper_joints(request: PlanRequest) -> dict[str, float]:
+    """Return the positions at the start of all joints that carry no foot [rad, m].
+
+    Raises:
+        RequestError: the robot or its state cannot be used.
+    """
+    from service.start.configuration import make_start_configuration
+    from service.start.robot import load_requested_robot
+
+    robot = load_requested_robot(request)
+    q, _ = make_start_configuration(robot, request.start)
+    model = robot.model
+    feet = [model.frames[model.getFrameId(foot)].parentJoint for foot in robot.link_groups.get("feet", ())]
+    standing = {joint for foot in feet for joint in model.supports[foot]}
+    upper = [model.joints[k] for k in range(1, model.njoints) if k not in standing]
+    columns = sorted(own.idx_v for own in upper if own.nv == 1)
+    return {robot.joint_names[k]: float(q[k]) for k in columns if k >= (6 if robot.is_floating else 0)}
+
+
 def _with_duration(step: dict[str, Any], duration: float | None) -> dict[str, Any]:
     return step if duration is None else {**step, "duration_s": duration}
 
@@ -215,5 +251,6 @@ for _name, _function in {
     "body": body_command,
     "neck": neck_command,
     "preset": preset_command,
+    "freeze": freeze_command,
 }.items():
     move_app.command(_name)(_function)

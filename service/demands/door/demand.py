@@ -11,10 +11,12 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import Mechanism, RobotModel
+from costs.scene import ConvexPiece
 from perception.detect.door.bodies import LEAF_LINK
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
 from perception.detect.door.model import choose_opening
 from service.demands.door.door import Door
+from service.demands.door.frame import list_free_openings
 from service.demands.door.phases import (
     LEAST_GRIP,
     PEG_LEAN,
@@ -58,13 +60,16 @@ class SeenDoor:
     knows_hinge: bool = True
 
 
-def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"]) -> DoorGeometry | str:
+def choose_door(
+    request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.ndarray, "3"], pieces: Sequence[ConvexPiece] = ()
+) -> DoorGeometry | str:
     """Return the door to open, or a sentence why there is none.
 
     Args:
         request: the task.
         seen: doors of the scan, the best first.
         robot: (3,) place of the robot's base in the world [m].
+        pieces: of the scene: a way in which the leaf meets its frame at once is not the one in which it opens.
     """
     given = read_given_door(request, robot)
     if given is not None:
@@ -89,7 +94,11 @@ def choose_door(request: DoorRequest, seen: Sequence[SeenDoor], robot: Float[np.
     if request.opens != "auto":
         return choose_opening(geometry, request.opens)
     if geometry.opens is None:
-        return "the scan does not show whether the door opens by a push or a pull; say it in task.door.opens"
+        free = list_free_openings(geometry, pieces)
+        if len(free) == 1:
+            return choose_opening(geometry, free[0])
+        frame = "" if free else ": either way the leaf would meet what is beside it"
+        return f"the scan does not show whether the door opens by a push or a pull{frame}; say it in task.door.opens"
     return geometry
 
 

@@ -28,7 +28,7 @@ class DoorDemandPart(DemandPart[DoorRequest]):
     def make_demand(self, section: DoorRequest, world: World, shown: Shown, program: object) -> MechanismDemand:
         """Return the demands on the door that the request gives or the scan shows."""
         resume = world.request.resume
-        geometry = choose_door(section, shown.doors, _find_base(world.robot, world.start))
+        geometry = choose_door(section, shown.doors, _find_base(world.robot, world.start), world.scene.pieces)
         if isinstance(geometry, str):
             raise RequestError(f"task.door: {geometry}")
         door = set_back(make_door(section, geometry, shown.seen if section.leaf is None else None), resume)

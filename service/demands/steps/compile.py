@@ -23,6 +23,8 @@ from costs.work_space import borrow_data
 from service.demands.grasping.gripper import Gripper
 from service.demands.hands import list_robot_hands
 from service.demands.regions import find_axis
+from service.demands.steps.extent import NamedStep
+from service.demands.steps.faces import UP, find_middle, lean_tool, list_places, point_along
 from service.demands.steps.holding import Holding
 from service.demands.steps.objects import Taking, list_grasp, list_release, make_fit
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
@@ -36,7 +38,6 @@ from service.request.tasks.steps import (
     MoveStep,
     ScrewStep,
     ShiftRequest,
-    StepRequest,
     TouchStep,
 )
 from service.verify import HAND_DRIFT_M, WORLD, HandLoad
@@ -45,32 +46,29 @@ UPRIGHT_GROUP = "upright"
 Company = tuple[frozenset[str], ...]
 """Frames that move as one: objects and the hands that hold them."""
 
-UP = np.array([0.0, 0.0, 1.0])
 STEEPEST_DEG = float(np.rad2deg(np.arctan(HAND_FRICTION[0])))  # lean of a tool that is pressed onto a face
 OFF_FACE_M = 1e-4  # tolerance of where a line to a face begins
+LEVEL_DEG = 0.03  # of an object above the place where it is put: beyond it touches with an edge, which holds no weight
 
 
 def compile_step(
     holding: Holding,
-    step: StepRequest,
-    name: str,
+    named: NamedStep,
     taking: Taking | None = None,
     released: tuple[Gripper, ...] = (),
-    lands: str | None = None,
 ) -> tuple[PhaseMaker, ...]:
     """Return the phases of a step, with who carries the objects in them.
 
     Args:
         holding: at its beginning; of a release with the object carried by the world already.
-        step, name: of it.
+        named: the step.
         taking: the hands of a grasp.
         released: the hands of a release.
-        lands: object that the next step releases.
 
     Raises:
         RequestError: the robot has no such hand, frame or link.
     """
-    makers = _list_makers(holding, step, name, taking, released)
+    makers, lands = _list_makers(holding, named, taking, released), named.lands
     return tuple(
         PhaseMaker(
             maker.name,
@@ -99,8 +97,9 @@ def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float
 
 
 def _list_makers(
-    holding: Holding, step: StepRequest, name: str, taking: Taking | None, released: tuple[Gripper, ...]
+    holding: Holding, named: NamedStep, taking: Taking | None, released: tuple[Gripper, ...]
 ) -> tuple[PhaseMaker, ...]:
+    step, name = named.step, named.name
     robot, company = holding.placed, holding.list_company()
     for own in (step.move, step.screw, step.touch):
         if own is not None and (own.hand or own.frame):
@@ -108,7 +107,8 @@ def _list_makers(
     if step.body is not None and not robot.is_floating:
         raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     if step.move is not None:
-        return (PhaseMaker(name, partial(_make_move, robot, company, step.move, name)),)
+        level = tuple(group for group in company if group & named.sets_down)
+        return (PhaseMaker(name, partial(_make_move, robot, company, level, step.move, name)),)
     if step.screw is not None:
         return (PhaseMaker(name, partial(_make_screw, robot, company, step.screw, name)),)
     if step.follow is not None:
@@ -210,7 +210,10 @@ def _shift_guide(pose: Float[np.ndarray, "4 4"], by: ShiftRequest) -> Guide:
     return Guide.line(pose[:3, 3], pose[:3, :3], axes @ np.asarray(by.translation), axes @ turn)
 
 
-def _make_move(robot: RobotModel, company: Company, move: MoveStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
+def _make_move(
+    robot: RobotModel, company: Company, level: Company, move: MoveStep, name: str, q: Float[np.ndarray, "n"]
+) -> StepPhase:
+    """Return a motion to joints or poses; what it brings above a place where it is put (``level``) is level there."""
     moving = find_frames(robot, move.hand, move.frame) if move.hand or move.frame else ()
     frames = moving or tuple(pose.link for pose in move.poses)
     base = StepPhase(name, duration_s=move.duration_s)
@@ -239,19 +242,26 @@ def _make_move(robot: RobotModel, company: Company, move: MoveStep, name: str, q
         if move.poses:
             carried = {name for group in company for name in group} - set(_map_tools(robot).values())
             turned = (_keep_turn(pose, poses[pose.link]) if pose.link in carried else pose for pose in move.poses)
-            return replace(base, goal=GoalRequest(poses=tuple(turned)))
+            return replace(base, goal=GoalRequest(poses=tuple(_bring_level(pose, level) for pose in turned)))
         ends = {frame: guide.poses(np.ones(1))[0] for frame, guide in guides.items()}
         goals = tuple(
             make_pose_goal(frame, pose, move.tolerance_m, move.rotation_tolerance_deg, move.free_axis)
             for frame, pose in ends.items()
         )
-        return replace(base, goal=GoalRequest(poses=goals))
+        return replace(base, goal=GoalRequest(poses=tuple(_bring_level(pose, level) for pose in goals)))
     free, limits = _read_free(move.free_axis), _read_limits(move)
     if move.poses:
         led = [_lead_to_pose(pose, poses[pose.link], move) for pose in move.poses]
     else:
         led = [Led(frame, guide, **free, **limits) for frame, guide in guides.items()]  # type: ignore[arg-type]
     return replace(base, led=tuple(led))
+
+
+def _bring_level(pose: PoseGoalRequest, level: Company) -> PoseGoalRequest:
+    """Return the pose of a frame, at which what moves along with it is level if it is put down later."""
+    if not any(pose.link in group for group in level):
+        return pose
+    return replace(pose, rotation_tolerance_deg=min(pose.rotation_tolerance_deg, LEVEL_DEG))
 
 
 def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalRequest:
@@ -373,13 +383,13 @@ def _list_follow(robot: RobotModel, company: Company, step: FollowStep, name: st
     (frame,) = find_frames(robot, step.hand, step.frame)
     normal = np.asarray(step.face.normal, dtype=float)
     normal = normal / np.linalg.norm(normal)
-    axis = _lean(-normal, step)
-    places = _list_places(step, normal)
+    axis = lean_tool(-normal, step)
+    places = list_places(step, normal)
     off = -step.approach_m * axis
 
     def begin(q: Float[np.ndarray, "n"]) -> StepPhase:
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = _point_along(axis), places[0] + off
+        pose[:3, :3], pose[:3, 3] = point_along(axis), places[0] + off
         goal = make_pose_goal(frame, pose, OFF_FACE_M, 0.1, "z")
         kept = _keep_others(robot, company, q, (frame,), step.other_hand)
         return StepPhase(f"{name}: reach", goal=GoalRequest(poses=(goal,)), **kept)  # type: ignore[arg-type]
@@ -389,7 +399,7 @@ def _list_follow(robot: RobotModel, company: Company, step: FollowStep, name: st
         ("approach", places[0] + off, lambda R: Guide.line(places[0] + off, R, -off), False)
     ]
     if step.circle is not None:
-        middle, angle = _find_middle(step, normal), float(np.deg2rad(step.circle.angle_deg))
+        middle, angle = find_middle(step, normal), float(np.deg2rad(step.circle.angle_deg))
         sense = -1.0 if step.circle.sense == "clockwise" else 1.0
         ways.append(
             ("path", places[0], lambda R: Guide.screw(places[0], R, middle, normal, sense * angle, turns=False), True)
@@ -429,7 +439,7 @@ def _make_part(
 ) -> StepPhase:
     """Return one line or arc of a path; the tool keeps the turn about its axis, or is free to turn."""
     here = locate(robot, q, frame)[:3, :3]
-    rotation = turn_towards(_point_along(axis)[None], here[None], UP)[0]
+    rotation = turn_towards(point_along(axis)[None], here[None], UP)[0]
     limits = {**_read_limits(step), **({} if is_path else {"speed_m_s": None})}
     free = UP if step.turn == "free" else None
     led = Led(frame, guide(rotation), free_axis=free, **limits)  # type: ignore[arg-type]
@@ -450,50 +460,3 @@ def _make_thrust(frame: str, guide: Guide, force: Float[np.ndarray, "3"]) -> Han
         return HandLoad(frame, WORLD, guide.centre, force, None, guide.radius + HAND_DRIFT_M)
     half = 0.5 * guide.shift
     return HandLoad(frame, WORLD, guide.position + half, force, half, HAND_DRIFT_M)
-
-
-def _lean(inwards: Float[np.ndarray, "3"], step: FollowStep) -> Float[np.ndarray, "3"]:
-    """Return the direction of the tool's axis."""
-    if not step.tilt_deg:
-        return inwards
-    towards = np.asarray(step.tilt_towards, dtype=float)
-    across = towards - (towards @ inwards) * inwards
-    if np.linalg.norm(across) < 1e-6:
-        raise RequestError("follow.tilt_towards: is along the face's normal; expected a direction along the face")
-    across /= np.linalg.norm(across)
-    tilt = np.deg2rad(step.tilt_deg)
-    return np.asarray(np.cos(tilt) * inwards + np.sin(tilt) * across)
-
-
-def _point_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """Return an orientation with its z axis along a direction."""
-    side = np.eye(3)[int(np.abs(axis).argmin())]
-    x = side - (side @ axis) * axis
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(axis, x), axis], axis=1)
-
-
-def _find_middle(step: FollowStep, normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Return the middle of a circle, at the depth of the tool's origin [m]."""
-    assert step.circle is not None
-    return _bring_to_depth(np.asarray(step.circle.centre, dtype=float), step, normal)
-
-
-def _bring_to_depth(
-    point: Float[np.ndarray, "3"], step: FollowStep, normal: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    height = float((point - np.asarray(step.face.point)) @ normal)
-    return np.asarray(point - (height + step.depth_m) * normal)
-
-
-def _list_places(step: FollowStep, normal: Float[np.ndarray, "3"]) -> list[Float[np.ndarray, "3"]]:
-    """Return the corners of a path, or where a circle begins [m]."""
-    if step.circle is None:
-        return [_bring_to_depth(np.asarray(corner, dtype=float), step, normal) for corner in step.polyline]
-    above = UP - (UP @ normal) * normal
-    if np.linalg.norm(above) < 0.1:
-        above = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
-    above /= np.linalg.norm(above)
-    arm = step.circle.radius_m * above
-    turned = Rotation.from_rotvec(-np.deg2rad(step.circle.begin_deg) * normal).apply(arm)
-    return [np.asarray(_find_middle(step, normal) + turned)]

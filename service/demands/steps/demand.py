@@ -25,7 +25,7 @@ from service.demands.steps.moved import MovedParts
 from service.demands.steps.objects import CLOSE, OPEN, Taking
 from service.demands.steps.walking import list_walking_phases, read_stances
 from service.demands.task_demand import RecordDemand, TaskDemand, World
-from service.request.tasks.step_objects import GraspStep, ReleaseStep
+from service.request.tasks.step_objects import GraspStep
 from service.request.tasks.steps import StepsSection
 from service.verify import Motion, Phase, place_frames, split_motion
 
@@ -124,7 +124,7 @@ class _Record:
         unsettled = [phase for phase in self.recorded.phases if phase.name in UNSETTLED]
         if unsettled:
             self._at = self.recorded.curve(np.array([unsettled[-1].last]))[0, : self.world.robot.n]
-        for named, after in zip(steps, [*steps[1:], None], strict=True):
+        for named in steps:
             if named.index in self.demand.parts.parts:
                 self._read_part(named, values)
                 values = self.demand.parts.advance(named.index, values)
@@ -134,10 +134,10 @@ class _Record:
             elif named.step.changes_contacts:
                 self._read_walk(named)
             else:
-                self._read_step(named, None if after is None else after.step.release)
+                self._read_step(named)
             self._at = self._find_end()
 
-    def _read_step(self, named: NamedStep, after: ReleaseStep | None) -> None:
+    def _read_step(self, named: NamedStep) -> None:
         grasp, release, q = named.step.grasp, named.step.release, None
         taking = None if grasp is None else self._read_taking(named, grasp)
         released: tuple[Gripper, ...] = ()
@@ -146,9 +146,8 @@ class _Record:
             first = self._recorded.get(f"{named.name}: {OPEN}")
             at = self.recorded.curve.knots[-1] if first is None else first.first
             self._holding = self._holding.put(release.object, self.recorded.curve(np.array([at]))[0])
-        lands = None if after is None else after.object
         robot = self._holding.placed
-        for maker in compile_step(self._holding, named.step, named.name, taking, released, lands):
+        for maker in compile_step(self._holding, named, taking, released):
             self.names.append(maker.name)
             phase = self._recorded.get(maker.name)
             if phase is None:

@@ -12,11 +12,30 @@ GUARDED = ("touch",)  # steps that end where something is felt: the plan ends af
 
 @dataclass(frozen=True)
 class NamedStep:
-    """A step with its index and name."""
+    """A step with its place in the list.
+
+    Attributes:
+        index, name: of it.
+        step: the step.
+        lands: object that the next step releases.
+        sets_down: objects that a later step releases, before which nothing may bring them out of level.
+    """
 
     index: int
     name: str
     step: StepRequest
+    lands: str | None = None
+    sets_down: frozenset[str] = frozenset()
+
+    @staticmethod
+    def list_all(section: StepsSection) -> tuple[NamedStep, ...]:
+        """Return all steps of a list."""
+        named, lands, later = list[NamedStep](), None, frozenset[str]()
+        for k, step in reversed(list(enumerate(section.steps))):
+            named.append(NamedStep(k, section.names[k], step, lands, later))
+            lands = None if step.release is None else step.release.object
+            later = later if lands is None else later | {lands}
+        return tuple(reversed(named))
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class Extent:
     @staticmethod
     def of(section: StepsSection) -> Extent:
         """Return the steps up to the first at which somebody, a check or a force decides."""
-        steps = tuple(NamedStep(k, section.names[k], step) for k, step in enumerate(section.steps))
+        steps = NamedStep.list_all(section)
         for named in steps:
             if named.step.kind in ENDING:
                 return Extent(steps[: named.index], steps[named.index :])

@@ -16,6 +16,7 @@ from service.demands.plausible import list_mechanism_problems
 from service.demands.resistance import MechanismPhysics
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent
+from service.demands.steps.faces import explain_beyond_edge
 from service.demands.steps.holding import Holding, list_sequence_problems
 from service.demands.steps.moved import MovedParts
 from service.demands.steps.names import list_step_problems
@@ -51,6 +52,13 @@ class StepsDemandPart(DemandPart[StepsSection]):
             if section.steps[index].mechanism is not None:  # a part that is pressed goes into its wall
                 for problem in list_mechanism_problems(given, obstacles):
                     yield problem.replace("task.mechanism", f"task.steps[{index}].mechanism")
+        known = {piece.name: piece for piece in obstacles}
+        for named in Extent.of(section).done:
+            follow = named.step.follow
+            if follow is not None and set(follow.face.pieces) <= known.keys():  # a scan's pieces end where it ends
+                beyond = explain_beyond_edge(follow, [known[name] for name in follow.face.pieces])
+                if beyond is not None:
+                    yield f"task.steps[{named.index}].follow: {beyond}"
 
     def read_mechanisms(self, section: StepsSection) -> tuple[GivenMechanism, ...]:
         """Return what the steps push."""

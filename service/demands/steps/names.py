@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from service.demands.steps.compile import compile_step
+from service.demands.steps.extent import NamedStep
 from service.demands.steps.holding import Holding, choose_grippers
 from service.errors import RequestError, would_do
 from service.request.schema import PlanRequest
@@ -41,7 +42,7 @@ def list_step_problems(start: Holding, step: StepRequest, field: str, request: P
             if name not in pieces
         )
     try:
-        compile_step(start, step, field)
+        compile_step(start, NamedStep(0, field, step))
         if step.hold is not None:
             choose_grippers(robot, step.hold.hand, "hold.hand")
         if step.grasp is not None:

@@ -176,11 +176,14 @@ def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     base = setup.start[:3] if setup.robot.is_floating else np.zeros(3)
     if request.leaf is None and setup.request.scene.cloud is None:
         raise RequestError("task.door: no scan to find it in; give scene.cloud, or leaf and handle")
-    geometry = choose_door(request, setup.surroundings.doors, base)
+    doors, pieces = setup.surroundings.doors, setup.scene.pieces
+    geometry = choose_door(request, doors, base, pieces)
     if isinstance(geometry, str):
         return geometry
     door = make_door(request, geometry, setup.surroundings.seen if request.leaf is None else None)
-    return door, describe_door(door)
+    is_told = request.opens != "auto" or request.leaf is not None or doors[0].geometry.opens is not None
+    other = "pull" if geometry.opens == "push" else "push"
+    return door, describe_door(door) + ("" if is_told else f"; a {other} would meet its frame at once")
 
 
 def describe_door(door: Door) -> str:

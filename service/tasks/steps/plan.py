@@ -218,9 +218,7 @@ class _Walk:
             reason = _explain_fit(step.fit, holding.items[step.fit.object], holding.locate(step.fit.object, at))
             if reason is not None:
                 return _Done([], (), Tried(named.name, (reason,)), index)
-        after = self._steps[index + 1].step.release if index + 1 < len(self._steps) else None
-        lands = None if after is None else after.object
-        makers = compile_step(holding, step, named.name, None, released, lands)
+        makers = compile_step(holding, named, None, released)
         phases, tried = _plan_step(self._solve(holding, at), makers, at)
         if tried is not None and not tried.reasons and tried.solved is not None:
             q = tried.solved.x[-1]
@@ -265,7 +263,7 @@ class _Walk:
             yield refuse(words, is_impossible=False)
             return
         for choice in ranked[:MOST_CHOICES]:
-            makers = compile_step(holding, named.step, named.name, Taking(choice.grippers, choice.grasps))
+            makers = compile_step(holding, named, Taking(choice.grippers, choice.grasps))
             phases, tried = _plan_step(own, makers, at)
             order = tuple(maker.name for maker in makers)
             after = None
