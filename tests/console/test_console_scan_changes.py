@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.cli.console.scan_changes import describe_groups, find_groups
@@ -16,6 +16,7 @@ def make_box(centre: tuple[float, float, float], side: float = 0.2) -> np.ndarra
     return np.array(centre) + RNG.uniform(-side / 2, side / 2, (2000, 3))
 
 
+@settings(max_examples=20)
 @given(y=st.floats(-0.8, 0.8), z=st.floats(0.2, 1.8))
 def test_a_box_that_came_is_new_and_seen_from_the_other_side_gone(y: float, z: float) -> None:
     with_box = np.concatenate([WALL, make_box((0.7, y, z))])

@@ -48,9 +48,9 @@ def find_groups(points: Float[np.ndarray, "N 3"], others: Float[np.ndarray, "K 3
 
 def thin_to_cells(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "K 3"]:
     """Return the first point of every cell."""
-    finite = points[np.isfinite(points).all(axis=1)]
+    finite = np.asarray(points[np.isfinite(points).all(axis=1)])
     _, first = np.unique(np.floor(finite / CELL_M).astype(np.int64), axis=0, return_index=True)
-    return finite[np.sort(first)]
+    return np.asarray(finite[np.sort(first)])
 
 
 def describe_groups(groups: list[ScanGroup], what: str) -> str:

@@ -167,4 +167,4 @@ def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
         read = read_input(clouds, lambda step: None)
     points = read.cloud.points
     own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
-    return points[~own]
+    return np.asarray(points[~own])
