@@ -148,6 +148,7 @@ class AsyncPlannerClient:
         on_progress: Callable[[PlanResponse], None] | None = None,
         with_waypoints: bool = False,
         is_batch: bool = False,
+        is_direct: bool = False,
         deadline_s: float | None = None,
     ) -> FinishedPlan:
         """Plan a request and wait for the verdict; an exception or a cancelled task in the meantime stops the plan.
@@ -159,6 +160,7 @@ class AsyncPlannerClient:
             on_progress: called with the acceptance, the place in the queue, every step and every iteration.
             with_waypoints: whether iterations include their waypoints.
             is_batch: whether interactive requests go first.
+            is_direct: whether it is a direct move, which waits for no decision.
             deadline_s: time limit [s] of uploads, queue and plan together; None for no limit.
 
         Raises:
@@ -173,6 +175,7 @@ class AsyncPlannerClient:
                 with_files=files is not None,
                 with_waypoints=with_waypoints,
                 is_batch=is_batch,
+                is_direct=is_direct,
                 deadline_s=deadline_s,
             )
             async with aclosing(events):
@@ -190,6 +193,7 @@ class AsyncPlannerClient:
         with_files: bool = False,
         with_waypoints: bool = False,
         is_batch: bool = False,
+        is_direct: bool = False,
         deadline_s: float | None = None,
     ) -> AsyncGenerator[PlanResponse, None]:
         """Yield every event of a plan, ``accepted`` first and again after each retry; closing the iterator stops it.
@@ -199,7 +203,7 @@ class AsyncPlannerClient:
         attempts = Attempts(self._retry, deadline_s)
         if isinstance(request, PlanRequest):
             request = await self.with_uploads(request, deadline_s=attempts.timeout_s)
-        message = make_plan_message(request, request_id, with_files, with_waypoints, is_batch)
+        message = make_plan_message(request, request_id, with_files, with_waypoints, is_batch, is_direct)
         async with aclosing(self._stream("Plan", message, attempts)) as events:
             async for event in events:
                 yield event

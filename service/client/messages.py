@@ -51,6 +51,7 @@ def make_plan_message(
     with_files: bool,
     with_waypoints: bool,
     is_batch: bool = False,
+    is_direct: bool = False,
 ) -> PlanMessage:
     """Return the message of a request, with an id under which it can be sent again."""
     return PlanMessage(
@@ -60,6 +61,7 @@ def make_plan_message(
         known_format=FORMAT if with_files else 0,
         with_waypoints=with_waypoints,
         priority=Priority.PRIORITY_BATCH if is_batch else Priority.PRIORITY_INTERACTIVE,
+        is_direct=is_direct,
     )
 
 

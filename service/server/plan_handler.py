@@ -34,7 +34,7 @@ from service.server.requests import WITHIN, RequestReader, current_warnings, kin
 from service.server.running_plans import RunningPlan, RunningPlans
 from service.server.settings import SMALL_BYTES
 from service.server.spread import Answer, await_certified, with_other_seed
-from service.store import PlanRecord, PlanState, Store
+from service.store import DIRECT, PlanRecord, PlanState, Store
 from service.telemetry import Later, bind
 from service.trust import current_caller
 from service.trust.rpc import Context, Refusal, deadline_of
@@ -195,8 +195,9 @@ class PlanHandler:
             undo.callback(handle.cancel)
             stored = message.SerializeToString()
             until = None if deadline is None else time.time() + deadline - time.monotonic()
+            kind = DIRECT if message.is_direct else accepted.kind
             record = self._store.plans.begin(
-                client, message.request_id, accepted.sha256, accepted.kind, stored, until, lost_sha256
+                client, message.request_id, accepted.sha256, kind, stored, until, lost_sha256
             )
             undo.pop_all()
             bind(plan_id=record.plan_id)

@@ -21,7 +21,7 @@ from service.store.errors import (
     TooLargeError,
     UploadRefusedError,
 )
-from service.store.lists import ListedPlan, ListedScene, PlanFilter
+from service.store.lists import DIRECT, ListedPlan, ListedScene, PlanFilter
 from service.store.records import (
     Decision,
     PlanRecord,
@@ -35,6 +35,7 @@ from service.store.store import Store
 
 __all__ = [
     "CLOUD_ID",
+    "DIRECT",
     "UPLOAD_SUFFIXES",
     "CloudLimits",
     "CloudStats",

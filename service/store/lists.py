@@ -11,10 +11,12 @@ from service.store.plans import Plans
 from service.store.records import PlanRecord, PlanState, Review
 from service.store.reviews import Reviews
 
+DIRECT = "direct"  # kind of direct moves, which wait for no decision and are listed only by this kind
 # A plan that somebody has to decide on: it can be accepted, and nobody has decided, or the acceptance has expired.
 _NEEDS_REVIEW = (
-    "(state = 'finished' AND plan_sha256 != '' AND certificate_sha256 != '' AND ifnull((SELECT decision = 'ACCEPTED' "
-    "AND expires <= :now FROM reviews WHERE reviews.plan_id = plans.plan_id ORDER BY number DESC LIMIT 1), 1))"
+    "(state = 'finished' AND kind != :direct AND plan_sha256 != '' AND certificate_sha256 != '' AND ifnull((SELECT "
+    "decision = 'ACCEPTED' AND expires <= :now FROM reviews WHERE reviews.plan_id = plans.plan_id ORDER BY number DESC "
+    "LIMIT 1), 1))"
 )
 
 
@@ -26,7 +28,7 @@ class PlanFilter:
         client: name of the client whose plans they are; empty for all.
         states: their states; empty for all.
         since: when their requests were accepted, at the earliest [s since 1970].
-        kind: kind of request; empty for all.
+        kind: kind of request; empty for all but direct moves.
         needs_review: only those that wait for a decision.
     """
 
@@ -96,17 +98,19 @@ class Lists:
             conditions.append("client = :client")
         if wanted.kind:
             conditions.append("kind = :kind")
+        else:
+            conditions.append("kind != :direct")
         if wanted.states:
             names = sorted(state.value for state in wanted.states)
             conditions.append(f"state IN ({', '.join(repr(name) for name in names)})")
         if wanted.needs_review:
             conditions.append(_NEEDS_REVIEW)
-        values = {"since": wanted.since, "below": below, "client": wanted.client, "kind": wanted.kind}
+        texts = {"client": wanted.client, "kind": wanted.kind, "direct": DIRECT}
         with self._database.reading() as db:
             rows = db.execute(
                 f"SELECT number, plan_id, {_NEEDS_REVIEW} AS needs_review FROM plans "
                 f"WHERE {' AND '.join(conditions)} ORDER BY number DESC LIMIT :n",
-                {**values, "now": self._clock(), "n": n_plans},
+                {**texts, "since": wanted.since, "below": below, "now": self._clock(), "n": n_plans},
             ).fetchall()
         return tuple(self._read(row["number"], row["plan_id"], bool(row["needs_review"])) for row in rows)
 
@@ -115,7 +119,7 @@ class Lists:
         with self._database.reading() as db:
             row = db.execute(
                 f"SELECT {_NEEDS_REVIEW} AS needs_review FROM plans WHERE plan_id = :plan_id",
-                {"plan_id": plan_id, "now": self._clock()},
+                {"plan_id": plan_id, "now": self._clock(), "direct": DIRECT},
             ).fetchone()
         return row is not None and bool(row["needs_review"])
 

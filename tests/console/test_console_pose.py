@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from console_page import click, console_of, wait
 from planner_server import planner_server
 
 from service.cli.console.moves import find_neck, read_last_pose
-from service.cli.console.posing import describe_pose
+from service.cli.console.posing import PoseSeat, describe_pose
+from service.errors import RequestError
 from service.proto.planner.v1 import pose_pb2 as wire
 from service.proto.planner.v1.result_pb2 import Trajectory
 
@@ -55,6 +57,30 @@ def test_the_last_pose_of_a_trajectory_is_a_start(has_base: bool) -> None:
     assert not has_base or start["base"]["position"] == [1.0, 2.0, 3.0]
 
 
+class PoseServer:
+    """A server whose pose sessions only open."""
+
+    async def pose_session(self, request: Any, events: AsyncIterator[Any], *, with_drawing: bool) -> AsyncIterator[Any]:
+        yield wire.PoseSessionResponse(opened=wire.PoseSessionOpened(joint_names=["one"], pose=wire.SessionPose()))
+        async for _ in events:
+            pass
+
+
+def test_a_page_whose_pose_another_page_ended_is_told_so_and_its_orders_are_refused() -> None:
+    told: list[Mapping[str, Any]] = []
+
+    async def run() -> None:
+        seat = PoseSeat(PoseServer(), told.append)  # type: ignore[arg-type]
+        first, second = [(await seat.open({"robot": {"name": "atlas"}}))["session"] for _ in range(2)]
+        seat.require(second)
+        with pytest.raises(RequestError, match="another page of this session has opened a pose"):
+            seat.require(first)
+        await seat.close()
+        assert [(event["session"], "another page" in event["problem"]) for event in told] == [(first, True)]
+
+    asyncio.run(run())
+
+
 @pytest.fixture(scope="module")
 def tasks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("tasks")
@@ -76,7 +102,7 @@ def drag(browser: Browser, link: str, dx: float, dy: float) -> None:
 
 
 def read_pose(browser: Browser) -> Any:
-    return json.loads(browser.run(f"{POSE}.link.order('pose_read').then((state) => JSON.stringify(state))"))
+    return json.loads(browser.run(f"{POSE}.ordered('pose_read').then((state) => JSON.stringify(state))"))
 
 
 def test_a_ghost_is_dragged_undone_nudged_and_kept(
@@ -88,7 +114,7 @@ def test_a_ghost_is_dragged_undone_nudged_and_kept(
         console_of(server.address, tmp_path) as url,
         open_browser(tmp_path / "p", (1280, 800)) as browser,
     ):
-        browser.open(url)
+        browser.open(url, is_drawn=False)
         click(browser, ".tabs button", "Pose", until=f"{POSE} !== null")
         wait(browser, f"{POSE}.opened !== null && !window.__viewer.busy")
         first, began = read_pose(browser), browser.run(HAND)

@@ -119,6 +119,12 @@ def test_an_approval_counts_where_it_is_required_or_named() -> None:
         check_approval("p", [], b"signed", is_required=False, now=NOW)
 
 
+def test_a_nudge_that_nobody_accepted_is_refused_with_what_allows_it() -> None:
+    with pytest.raises(Refusal, match=r"direct move has no review; scopt serve --no-require-approval allows them"):
+        check_approval("p", [], b"", is_required=True, now=NOW, is_direct=True)
+    check_approval("p", [REVIEW], b"signed", is_required=True, now=NOW, is_direct=True)
+
+
 def test_only_the_certified_plan_that_was_looked_at_is_carried_out(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = store.plans.begin("ann", "", "a" * 64, "valve").plan_id

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.store import Decision, PlanFilter, PlanState, Store
+from service.store import DIRECT, Decision, PlanFilter, PlanState, Store
 from service.store.reviews import DAY_S
 
 SHA, P, C = "a" * 64, "p" * 64, "c" * 64
@@ -62,6 +62,14 @@ def test_each_filter_leaves_what_it_says(store: Store, clock: Clock) -> None:
     assert _ids(store, PlanFilter(since=2000.0)) == [waiting, lost, door]
     assert _ids(store, PlanFilter(states=(PlanState.LOST,))) == [lost]
     assert _ids(store, PlanFilter(states=(PlanState.ACCEPTED, PlanState.FINISHED), client="ann")) == [waiting, valve]
+
+
+def test_direct_moves_wait_for_no_decision_and_are_listed_by_their_kind_alone(store: Store) -> None:
+    nudge, valve = _plan(store, DIRECT), _plan(store)
+    assert _ids(store) == _ids(store, PlanFilter(needs_review=True)) == [valve]
+    assert _ids(store, PlanFilter(kind=DIRECT)) == [nudge]
+    assert not store.lists.needs_review(nudge)
+    assert store.lists.needs_review(valve)
 
 
 def test_a_plan_waits_for_a_decision_until_there_is_one_and_again_when_the_acceptance_has_expired(

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from service.cli.console.judging import judge_plan
 from service.cli.console.sessions import OpenedPlan, OperatorSession
-from service.client import AsyncPlannerClient
+from service.client import AsyncPlannerClient, PlannerError
 from service.client.answers import read_verdict
 from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, PlanSummary
@@ -20,6 +22,7 @@ from service.result.folder import RESULT_NAME, VIEWER_NAME
 from service.result.releases import list_releases
 
 MOST_LISTED = 30
+MOST_SCENES = 500  # among which that of a plan is looked for
 _KNOWN = [verdict for verdict in Verdict.values() if verdict != VERDICT_UNSPECIFIED]
 
 
@@ -49,14 +52,21 @@ async def open_plan(session: OperatorSession, plan_id: str) -> dict[str, Any]:
         stored = await session.client.get_plan(plan_id, out=folder)
         viewer, files = folder / VIEWER_NAME, folder / RESULT_NAME
         page = await asyncio.to_thread(viewer.read_bytes) if viewer.is_file() else None
-        releases = list_releases(json.loads(await asyncio.to_thread(files.read_bytes)) if files.is_file() else {})
+        result = json.loads(await asyncio.to_thread(files.read_bytes)) if files.is_file() else {}
+    releases = list_releases(result)
     record = stored.record
     if not record.HasField("result"):
         state = PlanState.Name(record.state).removeprefix("PLAN_STATE_").lower()
         reason = f": {record.reason}" if record.reason else ""
         raise RequestError(f"plan {plan_id} is {state}{reason}; expected a finished plan")
     session.keep_opened(plan_id, OpenedPlan(record, page, releases))
-    return {**_make_row(record), **judge_plan(record), "has_page": page is not None, "releases": releases}
+    return {
+        **_make_row(record),
+        **judge_plan(record),
+        "has_page": page is not None,
+        "releases": releases,
+        "scan_age_s": await _find_scan_age_s(session.client, record, result.get("request", {}).get("scene", {})),
+    }
 
 
 async def review_plan(
@@ -116,6 +126,20 @@ async def execute_plan(
         plan_id, trajectory_sha256, approval, revision, is_placed=is_placed, scan_age_s=scan_age_s, lets_go=lets_go
     )
     return {"revision": after, "trajectory_sha256": carried_out}
+
+
+async def _find_scan_age_s(client: AsyncPlannerClient, record: PlanRecord, scene: Mapping[str, Any]) -> float | None:
+    """Return the age of what a plan knows of its surroundings, as servers count it [s]; None without a scan."""
+    name = scene.get("file")
+    if not (name or scene.get("cloud")):
+        return None
+    begin = record.created.ToNanoseconds()
+    if name:  # built before the plan was asked for, perhaps by somebody else
+        with suppress(PlannerError):  # a caller of a role that sees no scenes
+            async for known in client.list_scenes(limit=MOST_SCENES):
+                if known.scene_id == name:
+                    begin = min(begin, known.created.ToNanoseconds())
+    return max(0.0, time.time() - 1e-9 * begin)
 
 
 def _find_opened(session: OperatorSession, plan_id: str) -> OpenedPlan:

@@ -77,7 +77,7 @@ async def carry_out_step(
         request = parse_request({**session.pose.request, "start": start, "task": {"steps": [dict(step)]}})
         with tempfile.TemporaryDirectory(prefix="scopt-console-") as scratch:
             folder = Path(scratch) / "plan" if to == "robot" else None  # only plans with files are carried out
-            finished = await session.client.plan(request, out=folder)
+            finished = await session.client.plan(request, out=folder, is_direct=True)
         if finished.verdict != CERTIFIED:
             raise ExecutionError("; ".join([finished.verdict, *finished.result.explanation]))
         after = 0

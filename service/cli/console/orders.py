@@ -12,7 +12,7 @@ from service.cli.console.inbox import execute_plan, list_inbox, open_plan, revie
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
-from service.cli.console.scans import MOST_POINTS, detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.scans import MOST_POINTS, compare_scans, detect_at, list_scans, show_scan, upload_scan
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.proto.planner.v1.planner_pb2 import SimulationVerdict
@@ -61,6 +61,16 @@ class ScanOrder(Section):
     robot: Name
     posture: Name | None = None
     most_points: Annotated[int, Field(ge=100, le=MOST_POINTS)] = MOST_POINTS
+
+
+@checked(config=SECTION)
+class ChangesOrder(Section):
+    """Which scan is to be compared with which earlier one, and the robot that stood in both."""
+
+    scan: Name
+    before: Name
+    robot: Name
+    posture: Name | None = None
 
 
 @checked(config=SECTION)
@@ -180,6 +190,10 @@ async def _scan(console: Console, session: OperatorSession, order: ScanOrder) ->
     return await show_scan(console.settings.scans, order.scan, order.robot, order.posture, order.most_points)
 
 
+async def _changes(console: Console, session: OperatorSession, order: ChangesOrder) -> Any:
+    return await compare_scans(console.settings.scans, order.scan, order.before, order.robot, order.posture)
+
+
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
     clouds = await upload_scan(session.client, console.settings.scans, order.scan, order.robot, order.posture)
     return await detect_at(session.client, session.hits, clouds, order.at, order.kinds)
@@ -227,6 +241,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "simulate": PageOrder(SimulateOrder, _simulate),
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
+    "changes": PageOrder(ChangesOrder, _changes),
     "detect": PageOrder(DetectOrder, _detect),
     "plan": PageOrder(PlanOrder, _plan),
     "cancel": PageOrder(CancelOrder, _cancel),

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
 from service.cli.console.jobs import start_plan
 from service.cli.console.moves import Recipient, carry_out_step, make_nudge_step
-from service.cli.console.order import Console, Nothing, PageOrder
+from service.cli.console.order import Console, PageOrder
 from service.cli.console.posing import STEPS, make_drag, make_led_request, make_set
 from service.cli.console.sessions import OperatorSession
 from service.request.fields import SECTION, Name, Number, PlainData, Point, Section, at_most
@@ -18,6 +18,7 @@ from service.request.tasks.steps import Force, FreeAxis, HandChoice, OtherHand
 
 POSE = "pose"  # the task of a plan to a pose that was led
 Quaternion = tuple[Number, Number, Number, Number]
+T = TypeVar("T", bound="PoseOrder")
 
 
 @checked(config=SECTION)
@@ -30,6 +31,13 @@ class OpenPoseOrder(Section):
 
 
 @checked(config=SECTION)
+class PoseOrder(Section):
+    """An order about the pose of a session, by the number that opening it gave."""
+
+    session: int
+
+
+@checked(config=SECTION)
 class LedTarget(Section):
     """Where a link is led to; without a quaternion it may turn freely."""
 
@@ -39,7 +47,7 @@ class LedTarget(Section):
 
 
 @checked(config=SECTION)
-class DragOrder(Section):
+class DragOrder(PoseOrder):
     """All that is held now; ``is_last`` ends the drag, which is one step of undo."""
 
     targets: Annotated[tuple[LedTarget, ...], at_most(8)] = ()
@@ -48,28 +56,28 @@ class DragOrder(Section):
 
 
 @checked(config=SECTION)
-class HistoryOrder(Section):
+class HistoryOrder(PoseOrder):
     """A step back or forward."""
 
     way: Literal["undo", "redo"]
 
 
 @checked(config=SECTION)
-class SetPoseOrder(Section):
+class SetPoseOrder(PoseOrder):
     """A pose by its numbers, or a posture, as the start of a request has it."""
 
     start: PlainData
 
 
 @checked(config=SECTION)
-class KeepOrder(Section):
+class KeepOrder(PoseOrder):
     """Under which name the pose is kept as a task file."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
 
 
 @checked(config=SECTION)
-class NudgeOrder(Section):
+class NudgeOrder(PoseOrder):
     """A key, what it moves, and who gets the motion.
 
     Attributes:
@@ -90,7 +98,7 @@ class NudgeOrder(Section):
 
 
 @checked(config=SECTION)
-class MoveOrder(Section):
+class MoveOrder(PoseOrder):
     """One step of ``task.steps``, and who gets its motion."""
 
     step: PlainData
@@ -116,11 +124,11 @@ async def _set(console: Console, session: OperatorSession, order: SetPoseOrder) 
     return {"number": session.pose.send(**make_set(order.start))}
 
 
-async def _read(console: Console, session: OperatorSession, order: Nothing) -> Any:
+async def _read(console: Console, session: OperatorSession, order: PoseOrder) -> Any:
     return session.pose.write_state()
 
 
-async def _plan(console: Console, session: OperatorSession, order: Nothing) -> Any:
+async def _plan(console: Console, session: OperatorSession, order: PoseOrder) -> Any:
     return start_plan(session, POSE, session.pose.plan_request())
 
 
@@ -137,14 +145,24 @@ async def _move(console: Console, session: OperatorSession, order: MoveOrder) ->
     return await carry_out_step(session, order.step, order.to, order.revision)
 
 
+def _about_pose(arguments: type[T], act: Callable[[Console, OperatorSession, T], Awaitable[Any]]) -> PageOrder[T]:
+    """Return an order that is carried out only while the session that it names is open."""
+
+    async def act_in_session(console: Console, session: OperatorSession, order: T) -> Any:
+        session.pose.require(order.session)
+        return await act(console, session, order)
+
+    return PageOrder(arguments, act_in_session)
+
+
 POSE_ORDERS: Mapping[str, PageOrder[Any]] = {
     "pose_open": PageOrder(OpenPoseOrder, _open),
-    "pose_drag": PageOrder(DragOrder, _drag),
-    "pose_go": PageOrder(HistoryOrder, _go),
-    "pose_set": PageOrder(SetPoseOrder, _set),
-    "pose_read": PageOrder(Nothing, _read),
-    "pose_plan": PageOrder(Nothing, _plan),
-    "pose_keep": PageOrder(KeepOrder, _keep),
-    "nudge": PageOrder(NudgeOrder, _nudge),
-    "move": PageOrder(MoveOrder, _move),
+    "pose_drag": _about_pose(DragOrder, _drag),
+    "pose_go": _about_pose(HistoryOrder, _go),
+    "pose_set": _about_pose(SetPoseOrder, _set),
+    "pose_read": _about_pose(PoseOrder, _read),
+    "pose_plan": _about_pose(PoseOrder, _plan),
+    "pose_keep": _about_pose(KeepOrder, _keep),
+    "nudge": _about_pose(NudgeOrder, _nudge),
+    "move": _about_pose(MoveOrder, _move),
 }

@@ -36,6 +36,9 @@ LED = {"steps": [{"wait": "the operator"}]}  # task of a request that only says 
 DRAWN_DIGITS = 4  # of a pose that is drawn: 0.1 mm, 1e-4 rad
 SHAPE_DIGITS = 7  # of where shapes are in their joints
 NO_SESSION = "there is no pose to lead; open the pose tab first"
+OTHER_PAGE = (
+    "another page of this session has opened a pose, which ended this one; choose robot or scan to begin anew here"
+)
 
 
 class PoseSeat:
@@ -46,6 +49,7 @@ class PoseSeat:
         tell: called with the event ``pose`` for every pose, as pages draw it.
 
     Attributes:
+        number: of the session; events and orders name it, so that a page knows when another page has begun one.
         request: robot, scene and first pose of the session, as plain data; empty without a session.
         opened: what the server said of it.
         pose: the newest checked pose, with all bits.
@@ -55,7 +59,8 @@ class PoseSeat:
         self._client = client
         self._tell = tell
         self._events: asyncio.Queue[PoseEvent | None] = asyncio.Queue()
-        self._number = 0
+        self.number = 0
+        self._n_events = 0
         self._task: asyncio.Task[None] | None = None
         self.request: dict[str, Any] = {}
         self.opened = PoseSessionOpened()
@@ -72,8 +77,11 @@ class PoseSeat:
             PlannerError: the server refuses it.
         """
         parsed = parse_request({**request, "task": LED})
+        if self.request:
+            self._tell({"event": "pose", "session": self.number, "problem": OTHER_PAGE})
         await self.close()
-        self._events, self._number = asyncio.Queue(), 0
+        self.number += 1
+        self._events, self._n_events = asyncio.Queue(), 0
         opened: asyncio.Future[PoseSessionOpened] = asyncio.get_running_loop().create_future()
         self._task = asyncio.create_task(self._follow(parsed, self._events, opened))
         try:
@@ -82,7 +90,7 @@ class PoseSeat:
             await self.close()
             raise
         self.request, self.pose = request, self.opened.pose
-        return describe_opened(self.opened)
+        return {"session": self.number, **describe_opened(self.opened)}
 
     def send(self, **event: Any) -> int:
         """Send an event, and return its number; the answer is told to the pages.
@@ -91,9 +99,15 @@ class PoseSeat:
             RequestError: no session is open.
         """
         self._require_open()
-        self._number += 1
-        self._events.put_nowait(PoseEvent(number=self._number, **event))
-        return self._number
+        self._n_events += 1
+        self._events.put_nowait(PoseEvent(number=self._n_events, **event))
+        return self._n_events
+
+    def require(self, number: int) -> None:
+        """Raise RequestError unless this session is open."""
+        self._require_open()
+        if number != self.number:
+            raise RequestError(f"session: {OTHER_PAGE}")
 
     def write_state(self) -> dict[str, Any]:
         """Return the pose with all bits, as the start of a request or a state file has it.
@@ -177,12 +191,12 @@ class PoseSeat:
         if not opened.done():
             opened.set_exception(RequestError(problem))
         self.request = {}
-        self._tell({"event": "pose", "problem": problem})
+        self._tell({"event": "pose", "session": self.number, "problem": problem})
 
     def _take(self, pose: SessionPose) -> None:
         if pose.is_checked:
             self.pose = pose
-        self._tell({"event": "pose", **describe_pose(pose)})
+        self._tell({"event": "pose", "session": self.number, **describe_pose(pose)})
 
 
 async def _read(events: asyncio.Queue[PoseEvent | None]) -> AsyncIterator[PoseEvent]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from service.cli.console.scan_changes import APART_M, ScanGroup, describe_groups, find_groups
 from service.client import AsyncPlannerClient
 from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
@@ -56,8 +57,35 @@ async def show_scan(
         RequestError: there is no such scan, or it cannot be read.
     """
     path = find_scan(folders, name)
-    cloud = await asyncio.to_thread(_read_points, path, robot, posture, most_points)
+    cloud = thin_points(await asyncio.to_thread(_read_points, path, robot, posture), most_points)
     return {"name": name, "age_s": max(0.0, time.time() - path.stat().st_mtime), "cloud": quantize(cloud)}
+
+
+async def compare_scans(
+    folders: Sequence[Path], name: str, before: str, robot: str, posture: str | None
+) -> dict[str, Any]:
+    """Return what a scan has that an earlier one had not, and the reverse, packed for the page, with a line about it.
+
+    Raises:
+        RequestError: there is no such scan, or it cannot be read.
+    """
+    paths = find_scan(folders, name), find_scan(folders, before)
+    return await asyncio.to_thread(_compare, *paths, robot, posture)
+
+
+def _compare(path: Path, before: Path, robot: str, posture: str | None) -> dict[str, Any]:
+    now, then = (_read_points(each, robot, posture) for each in (path, before))
+    added, gone = find_groups(now, then), find_groups(then, now)
+    lines = [describe_groups(added, "new"), describe_groups(gone, "gone, or no longer seen")]
+    return {
+        "line": " · ".join(filter(None, lines)) or f"nothing of {APART_M:g} m moved",
+        "added": quantize(thin_points(_join(added), MOST_POINTS)),
+        "gone": quantize(thin_points(_join(gone), MOST_POINTS)),
+    }
+
+
+def _join(groups: Sequence[ScanGroup]) -> np.ndarray:
+    return np.concatenate([np.empty((0, 3)), *(group.points for group in groups)])
 
 
 async def detect_at(
@@ -126,7 +154,7 @@ def _find_scans(folders: Sequence[Path]) -> dict[str, Path]:
     return found
 
 
-def _read_points(path: Path, robot: str, posture: str | None, most_points: int) -> np.ndarray:
+def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
     """Return the points of a cloud file without those of a robot; one that only the server knows keeps its own."""
     from perception import inside_hulls
     from service.scan.cloud import CloudInput, read_input
@@ -139,4 +167,4 @@ def _read_points(path: Path, robot: str, posture: str | None, most_points: int) 
         read = read_input(clouds, lambda step: None)
     points = read.cloud.points
     own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
-    return thin_points(points[~own], most_points)
+    return np.asarray(points[~own])

@@ -36,7 +36,9 @@ def check_plan(record: PlanRecord, trajectory_sha256: str) -> None:
         raise refuse(f"plan_id: plan {record.plan_id} was planned without files; plan it again with files")
 
 
-def check_approval(plan_id: str, reviews: Sequence[Review], given: bytes, is_required: bool, now: float) -> None:
+def check_approval(
+    plan_id: str, reviews: Sequence[Review], given: bytes, is_required: bool, now: float, *, is_direct: bool = False
+) -> None:
     """Check the newest review of a plan where an approval is required or named.
 
     Args:
@@ -45,6 +47,7 @@ def check_approval(plan_id: str, reviews: Sequence[Review], given: bytes, is_req
         given: signed statement that the operator relies on; empty without one.
         is_required: whether the server demands an acceptance.
         now: [s since 1970].
+        is_direct: whether it is a direct move, which nobody reviews by the way.
 
     Raises:
         Refusal: FAILED_PRECONDITION with a sentence.
@@ -52,6 +55,12 @@ def check_approval(plan_id: str, reviews: Sequence[Review], given: bytes, is_req
     if not (is_required or given):
         return
     last = reviews[-1] if reviews else None
+    if last is None and is_direct:
+        raise refuse(
+            "approval: this server's robot carries out accepted plans only, and a nudge or another direct move has no "
+            "review; scopt serve --no-require-approval allows them, or accept this one "
+            f"(scopt review {plan_id} --accept)"
+        )
     if last is None:
         raise refuse(f"approval: plan {plan_id} has no review; accept it first (scopt review {plan_id} --accept)")
     at = _format(last.time)

@@ -28,7 +28,7 @@ from service.server.operation.checks import (
 from service.server.operation.control import Lease, RobotControl, refuse
 from service.server.plan_files import read_files
 from service.server.refusals import refuse_invalid
-from service.store import Store
+from service.store import DIRECT, Store
 from service.telemetry import bind
 from service.trust import current_caller
 from service.trust.rpc import Context
@@ -119,7 +119,8 @@ class ExecutionHandlers:
         now = time.time()
         needs_approval = self._settings.requires_approval
         is_required = not robot.is_simulated if needs_approval is None else needs_approval
-        check_approval(record.plan_id, self._store.reviews.find(record.plan_id), message.approval, is_required, now)
+        reviews = self._store.reviews.find(record.plan_id)
+        check_approval(record.plan_id, reviews, message.approval, is_required, now, is_direct=record.kind == DIRECT)
         files = await asyncio.to_thread(read_files, self._store, record.plan_id)
         result = read_result_json(files)
         check_releases(result, message.lets_go)

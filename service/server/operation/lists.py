@@ -11,14 +11,14 @@ from service.proto.planner.v1 import planner_pb2 as wire
 from service.request.tasks.registry import KINDS
 from service.server.refusals import refuse_invalid
 from service.server.running_plans import RunningPlans
-from service.store import ListedPlan, ListedScene, PlanFilter, PlanState, Store
+from service.store import DIRECT, ListedPlan, ListedScene, PlanFilter, PlanState, Store
 from service.trust import Role, current_caller
 from service.trust.rpc import Context
 from service.wire.results import encode_verdict
 from service.wire.times import decode_time, encode_time
 
 PAGE_SIZE, MAX_PAGE_SIZE = 50, 500
-TASKS = tuple(name for kind in KINDS for name in kind.counted_as)
+TASKS = (*(name for kind in KINDS for name in kind.counted_as), DIRECT)
 END_NOT_STORED = "its end could not be stored"  # such as on a full disk
 # States that the store knows a plan by; which open plan has begun, only the server knows.
 _STORED = {

@@ -82,20 +82,22 @@ DECISION_ACCEPTED: Decision
 DECISION_REJECTED: Decision
 
 class PlanRequest(_message.Message):
-    __slots__ = ("request_id", "request", "with_files", "with_waypoints", "priority", "known_format")
+    __slots__ = ("request_id", "request", "with_files", "with_waypoints", "priority", "known_format", "is_direct")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     REQUEST_FIELD_NUMBER: _ClassVar[int]
     WITH_FILES_FIELD_NUMBER: _ClassVar[int]
     WITH_WAYPOINTS_FIELD_NUMBER: _ClassVar[int]
     PRIORITY_FIELD_NUMBER: _ClassVar[int]
     KNOWN_FORMAT_FIELD_NUMBER: _ClassVar[int]
+    IS_DIRECT_FIELD_NUMBER: _ClassVar[int]
     request_id: str
     request: _request_pb2.MotionRequest
     with_files: bool
     with_waypoints: bool
     priority: Priority
     known_format: int
-    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ..., priority: _Optional[_Union[Priority, str]] = ..., known_format: _Optional[int] = ...) -> None: ...
+    is_direct: bool
+    def __init__(self, request_id: _Optional[str] = ..., request: _Optional[_Union[_request_pb2.MotionRequest, _Mapping]] = ..., with_files: bool = ..., with_waypoints: bool = ..., priority: _Optional[_Union[Priority, str]] = ..., known_format: _Optional[int] = ..., is_direct: bool = ...) -> None: ...
 
 class PlanResponse(_message.Message):
     __slots__ = ("accepted", "queued", "progress", "finished", "file")

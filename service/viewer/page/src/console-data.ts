@@ -18,7 +18,7 @@ export interface Risk {
 export interface Group { phase: string; open: number[]; passed: number[] }
 export interface Plan extends ReviewedRow {
   explanation: string[]; checks: JudgedCheck[]; risks: Risk[]; assumed: string[]; not_checked: string[]; groups: Group[];
-  duration_s: number | null; planning_time_s: number; has_page: boolean; releases: Record<string, string>;
+  duration_s: number | null; planning_time_s: number; has_page: boolean; releases: Record<string, string>; scan_age_s: number | null;
 }
 export interface Physics { verdict: string; explanation: string[] }
 export interface Job {
@@ -39,6 +39,7 @@ export interface RobotState {
   control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
+export interface ScanChanges { line: string; added: Quantized; gone: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
   residuals: Record<string, number>; doubts: string[]; points: Quantized;

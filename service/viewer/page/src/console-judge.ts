@@ -24,12 +24,12 @@ export class Judge {
 
   constructor(
     private readonly plan: Plan, private readonly look: (check: number) => void, decide: (decision: Decision) => Promise<ReviewedRow>,
-    simulate: () => Promise<Physics>,
+    simulate: () => Promise<Physics>, beside: HTMLElement,
   ) {
     const { verdict } = plan;
     const badge = el("div", `verdict ${tone(verdict)}`, words(verdict));
     const lasts = plan.duration_s === null ? "no motion" : `lasts ${seconds(plan.duration_s)}`;
-    this.element.append(el("div", "sum", badge, this.physics(simulate), el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)));
+    this.element.append(el("div", "sum", badge, this.physics(simulate), el("span", "soft", `${lasts} · planned in ${seconds(plan.planning_time_s)}`)), beside);
     if (plan.explanation.length > 0) {
       this.element.append(section("What stands in the way", el("ul", "why", ...plan.explanation.map((line) => el("li", "", line)))));
     }

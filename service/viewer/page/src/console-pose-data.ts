@@ -13,7 +13,7 @@ export interface Pose {
   stops: { kind: string; text: string }[]; undo: number; redo: number; refusal: string;
   clearance_m: number | null; balance_margin_m: number | null; torque_share: number | null;
 }
-export interface OpenedPose { joint_names: string[]; links: string[]; feet: string[]; notes: string[]; pose: Pose; drawing: Drawing }
+export interface OpenedPose { session: number; joint_names: string[]; links: string[]; feet: string[]; notes: string[]; pose: Pose; drawing: Drawing }
 export interface Measured { clock_s: number; farthest: { joint: string; off: number } | null; base: number[]; positions: number[] }
 export interface Target { link: string; position: number[]; quaternion_wxyz: number[] | null }
 export type Hand = "left" | "right" | "both";

@@ -180,8 +180,11 @@ export class PoseTab {
 
   // An event of the bridge about the pose.
   hear(event: Record<string, unknown>): void {
-    if (typeof event.problem === "string") this.say(event.problem, "bad");
-    else this.take(event as unknown as Pose);
+    if (event.session !== this.opened?.session) return;  // of another page
+    if (typeof event.problem === "string") {
+      this.say(event.problem, "bad");
+      this.handles.replaceChildren(button("", "Begin again here", "Open a pose of this page", () => void this.open()));
+    } else this.take(event as unknown as Pose);
   }
 
   showMeasured(names: string[], pose: Measured): void {
@@ -194,12 +197,17 @@ export class PoseTab {
 
   private give(order: string, values: Record<string, unknown>): Promise<Moved> {
     if (values.to === "robot" && !this.strip.mayOrder) return Promise.reject(new Error("take control of the robot first"));
-    return this.link.order<Moved>(order, { ...values, revision: this.strip.revision });
+    return this.ordered<Moved>(order, { ...values, revision: this.strip.revision });
+  }
+
+  // An order about the pose that this page has opened.
+  ordered<T>(name: string, values: Record<string, unknown> = {}): Promise<T> {
+    return this.link.order<T>(name, { ...values, session: this.opened?.session ?? 0 });
   }
 
   private async order(name: string, values: Record<string, unknown>): Promise<number> {
     try {
-      return (await this.link.order<{ number: number }>(name, values)).number;
+      return (await this.ordered<{ number: number }>(name, values)).number;
     } catch (error) {
       this.say(saidBy(error), "bad");
       return 0;
@@ -208,7 +216,7 @@ export class PoseTab {
 
   private async ask(): Promise<void> {
     try {
-      this.follow(await this.link.order<Job>("pose_plan"));
+      this.follow(await this.ordered<Job>("pose_plan"));
     } catch (error) {
       this.say(saidBy(error), "bad");
     }
@@ -229,7 +237,7 @@ export class PoseTab {
 
   private async keep(): Promise<void> {
     try {
-      const { path } = await this.link.order<{ path: string }>("pose_keep", { name: this.name.value.trim() });
+      const { path } = await this.ordered<{ path: string }>("pose_keep", { name: this.name.value.trim() });
       this.say(`kept in ${path}`, "good");
     } catch (error) {
       this.say(saidBy(error), "bad");
@@ -238,7 +246,7 @@ export class PoseTab {
 
   private async save(): Promise<void> {
     try {
-      const state = await this.link.order<Record<string, unknown>>("pose_read");
+      const state = await this.ordered<Record<string, unknown>>("pose_read");
       const link = el("a");
       link.href = URL.createObjectURL(new Blob([JSON.stringify(state)], { type: "application/json" }));
       link.download = `${this.name.value.trim() || "pose"}.json`;

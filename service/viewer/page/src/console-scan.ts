@@ -1,6 +1,6 @@
 // The scan of a task tab: its points, a click on one of them, and the objects that were found there.
 import { Box3, Vector3 } from "three";
-import { FoundHit, pick, tintByHeight } from "./console-data";
+import { FoundHit, ScanChanges, pick, tintByHeight } from "./console-data";
 import { el } from "./dom";
 import { Labels } from "./labels";
 import { Quantized, points as unpack } from "./packed";
@@ -67,6 +67,16 @@ export class ScanView {
     this.hits.recolour(THEMES[this.theme]);
     this.stage.scene.add(this.hits.group);
     for (const label of this.hits.labels) this.labels.add(label);
+    this.stage.draw();
+  }
+
+  // What moved since an earlier scan: new points bright green, those that are gone red.
+  showChanges(changes: ScanChanges): void {
+    for (const [packed, tint] of [[changes.added, [0.1, 0.95, 0.3]], [changes.gone, [0.95, 0.15, 0.15]]] as [Quantized, number[]][]) {
+      const places = unpack(packed);
+      if (places.length === 0) continue;
+      this.stage.scene.add(pointCloud(places, Float32Array.from(places, (_, i) => tint[i % 3]), 18, 1));
+    }
     this.stage.draw();
   }
 

@@ -1,6 +1,6 @@
 // One task tab, made of its task file: scan, a click on an object, parameters, and the plan.
 import {
-  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanCloud, Tab, Tabs, ago, askedFor, readValue, writeValue,
+  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanChanges, ScanCloud, ScanRow, Tab, Tabs, ago, askedFor, readValue, writeValue,
 } from "./console-data";
 import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
@@ -16,6 +16,9 @@ export class TabView {
   private readonly fields = new Map<string, { parameter: Parameter; input: HTMLInputElement | HTMLSelectElement }>();
   private readonly said = el("p", "said");
   private readonly found = el("div", "found");
+  private readonly newer = el("div", "chips newer");
+  private readonly moved = el("p", "soft moved");
+  private scanChoice: HTMLSelectElement | null = null;
   private readonly progress = el("div", "progress");
   private readonly plan: HTMLButtonElement;
   private readonly robot: HTMLSelectElement;
@@ -58,7 +61,8 @@ export class TabView {
       if (name !== NONE) remember("scan", name);
       void this.showScan();
     });
-    this.element.append(section("Scan", scan));
+    this.scanChoice = scan;
+    this.element.append(section("Scan", scan, this.newer, this.moved));
     if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found));
     const fields = askedFor(tab).map((parameter) => this.field(parameter));
     const given = tab.parameters.filter(({ detect }) => detect !== null).map((parameter) => this.field(parameter));
@@ -69,6 +73,41 @@ export class TabView {
     this.element.append(
       section("Robot at the start", labelled("robot", this.robot), labelled("posture", this.posture)), this.said, el("div", "buttons", this.plan), this.progress,
     );
+  }
+
+  // The scans that there are now; a newer one than that which is shown is offered.
+  hearScans(scans: ScanRow[]): void {
+    const [newest] = scans;
+    const shown = scans.find(({ name }) => name === this.scan);
+    if (!this.scanChoice || !newest || !shown || newest.name === this.scan) return this.newer.replaceChildren();
+    if (this.newer.dataset.name === newest.name && this.newer.childElementCount > 0) return;
+    this.newer.dataset.name = newest.name;
+    this.newer.replaceChildren(button("", `Update with ${newest.name}`, `${newest.name} is ${ago(newest.age_s)} old, newer than ${this.scan}`, () => void this.update(newest)));
+  }
+
+  // Take a newer scan in place of the one that is shown, and show what moved.
+  private async update(newest: ScanRow): Promise<void> {
+    const before = this.scan;
+    if (![...this.scanChoice!.options].some(({ value }) => value === newest.name)) {
+      const option = el("option", "", `${newest.name} · ${ago(newest.age_s)} old`);
+      option.value = newest.name;
+      this.scanChoice!.prepend(option);
+    }
+    this.scanChoice!.value = this.scan = newest.name;
+    remember("scan", this.scan);
+    this.newer.replaceChildren();
+    await this.showScan();
+    const { view } = this;
+    if (!view) return;
+    this.moved.textContent = "looking for what moved";
+    try {
+      const changes = await this.link.order<ScanChanges>("changes", { ...this.stood(), before });
+      if (view !== this.view) return;
+      view.showChanges(changes);
+      this.moved.textContent = `since ${before}: ${changes.line}`;
+    } catch (error) {
+      if (view === this.view) this.moved.textContent = String(error instanceof Error ? error.message : error);
+    }
   }
 
   private listPostures(): void {
@@ -100,6 +139,7 @@ export class TabView {
     this.view = null;
     this.hits = [];
     this.chosen = -1;
+    this.moved.textContent = "";
     this.listHits();
     if (this.scan === NONE) return this.say(this.tab.kinds.length > 0 ? "there is no scan; put a cloud file into the folder of --scans" : "", "fair");
     const asked = ++this.asked;

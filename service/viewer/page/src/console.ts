@@ -1,6 +1,6 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
-import { Job, Physics, Plan, ReviewedRow, RobotState, Row, Tabs, standingOfRow } from "./console-data";
-import { choice } from "./console-fields";
+import { Job, Physics, Plan, ReviewedRow, RobotState, Row, Tabs, ago, standingOfRow } from "./console-data";
+import { choice, labelled } from "./console-fields";
 import { Judge, compareRisks, section } from "./console-judge";
 import { IS_SLOW, Link, State } from "./console-link";
 import { Measured } from "./console-pose-data";
@@ -12,7 +12,7 @@ import { button, el, words } from "./dom";
 interface Settings { version: string; server: string }
 const REFRESH_MS = IS_SLOW ? 30_000 : 5000;
 const INBOX = "inbox";
-const MOST_AGE_S = 7 * 86400;  // of a scan that an operator may find to be right still
+const COMPARED_S = 60;  // that a comparison of the scan with what is there is good for
 const POSE = "pose tab";  // no task file is called so
 
 const saidBy = (error: unknown): string => (error instanceof Error ? error.message : String(error));
@@ -31,7 +31,7 @@ class ConsolePage {
   private readonly login = el("form", "login");
   private readonly where = el("span", "says");
   private frame: HTMLIFrameElement | null = null;
-  private beside: HTMLIFrameElement | null = null;
+  private beside: HTMLElement | null = null;
   private tabs: Tabs = { tabs: [], robots: [], scans: [] };
   private rows: Row[] = [];
   private active = INBOX;
@@ -130,6 +130,7 @@ class ConsolePage {
       // A caller of the wrong role, or a planning server that does not answer: the console itself does.
       if (this.link.state === "open") this.say(saidBy(error), this.notice);
     }
+    this.tab?.hearScans(this.tabs.scans);
     this.drawTabs();
     this.drawRows();
   }
@@ -212,23 +213,24 @@ class ConsolePage {
       });
       void this.refresh();
       return row;
-    }, () => this.link.order<Physics>("simulate", { plan_id: plan.plan_id }));
-    this.scroll.replaceChildren(judge.element, this.compare(plan), this.execution(plan, judge));
+    }, () => this.link.order<Physics>("simulate", { plan_id: plan.plan_id }), this.compare(plan));
+    this.scroll.replaceChildren(judge.element, this.execution(plan, judge));
     if (!plan.has_page) {
       this.view.append(el("p", "broken", "This plan has no page; it was asked for without files."));
       return;
     }
-    this.frame = this.makeFrame(plan.plan_id);
-    this.view.append(this.frame);
+    const shown = this.makeFrame(plan.plan_id);
+    this.frame = shown.querySelector("iframe");
+    this.view.append(shown);
   }
 
-  // The very page whose hash the approval has; it cannot reach this one.
-  private makeFrame(planId: string): HTMLIFrameElement {
+  // The very page whose hash the approval has; it cannot reach this one. Until it draws, what is awaited is read through it.
+  private makeFrame(planId: string): HTMLElement {
     const frame = el("iframe", "viewer");
     frame.setAttribute("sandbox", "allow-scripts allow-downloads");
     frame.title = `Motion of plan ${planId}`;
     frame.src = this.addressOf(planId, "panel=0");
-    return frame;
+    return el("div", "motion", el("p", "soft", `drawing the motion of plan ${planId.slice(0, 8)}`), frame);
   }
 
   // Another plan beside the one that is judged: its motion, and its risks against those of this one.
@@ -247,7 +249,7 @@ class ConsolePage {
         table.replaceChildren(compareRisks(plan, other));
       }, (error: unknown) => table.replaceChildren(el("p", "said bad", saidBy(error))));
     });
-    return section("Beside another plan", pick, table);
+    return el("div", "beside", labelled("beside", pick), table);
   }
 
   // The button that has the robot carry out exactly this motion, once it is accepted and this page has control.
@@ -255,6 +257,14 @@ class ConsolePage {
     const placed = el("input");
     const old = el("input");
     placed.type = old.type = "checkbox";
+    const opened = Date.now();
+    const age = el("span", "", plan.scan_age_s === null ? "" : ` the scan was ${ago(plan.scan_age_s)} old when this plan was opened; I have compared it with what is there just now`);
+    let accepted: number | null = null;
+    old.addEventListener("change", () => {
+      accepted = old.checked ? (plan.scan_age_s ?? 0) + (Date.now() - opened) / 1000 + COMPARED_S : null;
+      const ticked = accepted;
+      setTimeout(() => { if (accepted === ticked) [old.checked, accepted] = [false, null]; }, 1000 * COMPARED_S);
+    });
     // An object is let go only once its own box is ticked: no hand opens by the way.
     const releases = Object.entries(plan.releases).map(([name, phase]) => {
       const box = el("input");
@@ -264,11 +274,11 @@ class ConsolePage {
     });
     const go = button("yes", "Execute", "Have the robot carry out exactly this motion", () => void this.robot.order("execute", {
       plan_id: plan.plan_id, trajectory_sha256: plan.trajectory_sha256, revision: this.robot.revision, is_placed: placed.checked,
-      scan_age_s: old.checked ? MOST_AGE_S : null, lets_go: releases.filter(({ box }) => box.checked).map(({ name }) => name),
+      scan_age_s: accepted, lets_go: releases.filter(({ box }) => box.checked).map(({ name }) => name),
     }));
     const why = el("p", "soft");
     const part = section("Robot", why, ...releases.map(({ label }) => label), el("label", "placed", placed, " put a simulated robot at the start first"),
-      el("label", "placed", old, " I have compared the scan with what is there; its age is right"), el("div", "buttons", go));
+      ...(plan.scan_age_s === null ? [] : [el("label", "placed", old, age)]), el("div", "buttons", go));
     const refresh = (): void => {
       part.hidden = !this.robot.state?.is_there;
       const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : releases.some(({ box }) => !box.checked) ? "confirm what the hand lets go first" : "";
