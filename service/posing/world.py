@@ -74,7 +74,7 @@ class PoseWorld:
         Margins and clearance are those of ``options``.
         """
         padding = find_padding(options.padding, scene)
-        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m, padding)
+        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m, padding=padding)
         return PoseWorld(WholeBody.standing(robot, scene, q, feet, aims), aims.clearance)
 
     @property
