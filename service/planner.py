@@ -30,7 +30,6 @@ from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
-from service.demands import find_padding
 from service.errors import RequestError
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
@@ -150,7 +149,7 @@ def _note_missed_margin(result: PlanResult) -> Iterator[str]:
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    aims = Aims.of(options, setup.robot, find_padding(options.padding, setup.scene))
+    aims = Aims.of(options, setup.robot, setup.padding)
     try:
         body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     except StaticRegionError as error:
