@@ -42,7 +42,6 @@ from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
-from service.demands.scene import find_padding
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.request.schema import Options
 from service.verify import NO_SWAY, PlantedContact, Sway, bound_largest_sway
@@ -89,12 +88,12 @@ class Aims:
     padding: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
-    def of(options: Options, robot: RobotModel, scene: Scene) -> Aims:
+    def of(options: Options, robot: RobotModel, padding: Mapping[str, float]) -> Aims:
         """Return the margins of a request; a demanded clearance is aimed at with a reserve, and with a base's sway."""
         sway = Sway(options.sway_m, options.sway_deg)
         demanded = options.clearance_m + bound_largest_sway(robot, sway)
         margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
-        return Aims(margin, options.balance_margin_m, options.clearance_m, sway, find_padding(options.padding, scene))
+        return Aims(margin, options.balance_margin_m, options.clearance_m, sway, padding)
 
     def list_padded(self, robot: RobotModel, scene: Scene) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
         """Return the margins of links and pieces whose padding demands more than the margin of all others."""

@@ -216,7 +216,7 @@ def freeze_command(
         return read_move_request({"move": _with_duration(move, duration)}, where), None
 
     folder = where.out if where.out is not None else Path("out") / "move-freeze"
-    return plan_and_write(make_request, folder, as_json=as_json)
+    return plan_and_write(make_request, folder, where, as_json=as_json)
 
 
 def read_upper_joints(request: PlanRequest) -> dict[str, float]:

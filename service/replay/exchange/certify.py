@@ -11,7 +11,7 @@ import numpy as np
 
 from costs.robot import RobotModel
 from costs.stopping import never, poll, stops_when
-from service.demands import Demands, find_padding, hold_to_request
+from service.demands import Demands, hold_to_request
 from service.errors import RequestError
 from service.replay.exchange.interpolation import (
     READ_AS,
@@ -205,7 +205,7 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
         clearance_m=setup.request.options.clearance_m,
         sway=Sway(setup.request.options.sway_m, setup.request.options.sway_deg),
-        padding=find_padding(setup.request.options.padding, setup.scene),
+        padding=setup.padding,
         jerk_scale=setup.request.options.jerk_scale,
         tool_speed_m_s=setup.request.options.tool_speed_m_s,
         pace=setup.request.options.pace,
