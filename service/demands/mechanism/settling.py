@@ -87,7 +87,7 @@ def keep_aside(
 
 def _touch(given: GivenMechanism, pushes: Sequence[NominalPush]) -> GivenMechanism:
     """Return the handle moved along the normal of its first contact until the hand touches."""
-    settled = SIDE_GAP if given.request.handle.tool == "peg" else SETTLED_GAP
+    settled = SETTLED_GAP if given.request.handle.tool == "stub" else SIDE_GAP
     for nominal in pushes:
         for contact, meeting in zip(nominal.push.contacts, nominal.met, strict=True):
             if contact.link == given.handle.link and meeting.apart >= LEAST_APART_M:
