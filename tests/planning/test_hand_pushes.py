@@ -75,6 +75,18 @@ def test_a_place_that_is_off_is_moved_until_the_hand_touches() -> None:
         assert nominal.met[0].gap == pytest.approx(-1e-3, abs=2e-6)
 
 
+def test_a_tip_ends_inside_what_it_presses() -> None:
+    """Before the face it would press a button of some millimetres by so much less."""
+    handle = {"link": "door", "place": [-0.011, -0.3, 0.0], "axis": [1, 0, 0], "tool": "tip", "tilt_deg": 25}
+    ajar = {"hinge": {"start": 0.7, "friction": 3.0}}
+    given = read_given_mechanism(parse_request(cabinet_request(to=0.0, handle=handle, joints=ajar)).task.mechanism)
+    augmented = with_mechanism(atlas(), given.mechanism.joints)
+    settled = settle_handle(given, augmented, HANDS["left"], FRICTION)
+    spec = next(spec for spec in make_mechanism_phases(settled, HANDS["left"]) if spec.moving)
+    (nominal,) = find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)
+    assert nominal.met[0].gap == pytest.approx(-1e-3, abs=2e-5)
+
+
 @pytest.mark.parametrize(
     ("off_deg", "tilt_deg", "left_deg"), [(10.0, 30.0, 10.0), (36.0, 30.0, 24.0), (36.0, 12.0, 32.0)]
 )
