@@ -27,7 +27,7 @@ def _planned(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Requests that commands would plan."""
     requests: list[Any] = []
 
-    def keep(read: Any, folder: Path, *, as_json: bool) -> str:
+    def keep(read: Any, folder: Path, planning: Any, *, as_json: bool) -> str:
         requests.append(read()[0])
         return "CERTIFIED"
 
