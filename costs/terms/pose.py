@@ -151,14 +151,7 @@ class AxisDirection(Residual[MotionState]):
         basis = np.concatenate([self._direction[None], self._tangents])
         moved = basis @ turned @ kinematics.jacobian[here, 3:]
         moved *= relative_axes(kinematics, self._frame, self._reference)
-        moved = kinematics.topology.add_followers(moved)
-        d_along, d_tangential = moved[:, 0], moved[:, 1:]
-        angle, unit, across = measure_deviation(along, tangential)
-        d_sine = (unit[:, None] @ d_tangential)[:, 0]
-        d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
-        rows = across[:, None, None] * d_tangential
-        rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
-        return make_waypoint_rows(angle[:, None] * unit, rows, here, kinematics)
+        return make_deviation_rows(along, tangential, kinematics.topology.add_followers(moved), here, kinematics)
 
     def _components(
         self, kinematics: Kinematics
@@ -186,6 +179,29 @@ def measure_deviation(
     unit[vanishes & (cosine < 0.0)] = (1.0, 0.0)
     across = np.where(vanishes, 1.0, angle / np.where(vanishes, 1.0, sine))
     return angle, unit, np.where((sine < OPPOSITE_SINE) & (cosine < 0.0), 0.0, across)
+
+
+def make_deviation_rows(
+    cosine: Float[np.ndarray, "S"],
+    tangential: Float[np.ndarray, "S 2"],
+    moved: Float[np.ndarray, "S 3 n"],
+    waypoints: Int[np.ndarray, "S"],
+    kinematics: Kinematics,
+) -> AffineRows:
+    """Make the two rows per waypoint of an axis beside its direction: the angle along the unit tangent [rad].
+
+    Args:
+        cosine, tangential: components of the axis along the direction and across it.
+        moved: derivatives of these three components by a waypoint's coordinates.
+        waypoints: (S,) of the rows.
+    """
+    angle, unit, across = measure_deviation(cosine, tangential)
+    d_along, d_tangential = moved[:, 0], moved[:, 1:]
+    d_sine = (unit[:, None] @ d_tangential)[:, 0]
+    d_angle = cosine[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
+    rows = across[:, None, None] * d_tangential
+    rows = rows + unit[:, :, None] * (d_angle - across[:, None] * d_sine)[:, None, :]
+    return make_waypoint_rows(angle[:, None] * unit, rows, waypoints, kinematics)
 
 
 class PointHalfSpace(Residual[MotionState]):

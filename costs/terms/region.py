@@ -12,7 +12,7 @@ from costs.kinematics import Kinematics
 from costs.robot.model import RobotModel
 from costs.rotation import make_tangent_basis, skew
 from costs.state import MotionState
-from costs.terms.pose import FramePlace, make_waypoint_rows, measure_deviation, relative_axes
+from costs.terms.pose import FramePlace, make_deviation_rows, measure_deviation, relative_axes
 from scopt import AffineRows, Residual
 from scopt.residual import StateT
 
@@ -131,14 +131,7 @@ class LookAt(Residual[MotionState]):
         moved = basis @ d_local @ kinematics.jacobian[here]
         moved *= relative_axes(kinematics, self._frame, self._reference)
         moved = kinematics.topology.add_followers(moved)
-        along, tangential = local @ self._axis, local @ self._tangents.T
-        angle, unit, per_sine = measure_deviation(along, tangential)
-        d_along, d_tangential = moved[:, 0], moved[:, 1:]
-        d_sine = (unit[:, None] @ d_tangential)[:, 0]
-        d_angle = along[:, None] * d_sine - np.linalg.norm(tangential, axis=1)[:, None] * d_along
-        rows = per_sine[:, None, None] * d_tangential
-        rows = rows + unit[:, :, None] * (d_angle - per_sine[:, None] * d_sine)[:, None, :]
-        return make_waypoint_rows(angle[:, None] * unit, rows, here, kinematics)
+        return make_deviation_rows(local @ self._axis, local @ self._tangents.T, moved, here, kinematics)
 
     def _direct(
         self, kinematics: Kinematics
