@@ -11,6 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from costs.work_space import borrow_data
 from service.demands.phase import EndTarget
 from service.demands.targets import make_goal_targets
 from service.request.tasks.reach import GoalPartRequest, GoalRequest
@@ -91,7 +92,7 @@ def find_row(robot: RobotModel, part: GoalPartRequest, q: Float[np.ndarray, "S n
 
 def measure_miss(robot: RobotModel, targets: Sequence[EndTarget], q: Float[np.ndarray, "n"]) -> float:
     """Return the largest error of a configuration relative to its tolerance: at most 1 where all targets are kept."""
-    data = robot.model.createData()
+    data = borrow_data(robot.model)
     pin.framesForwardKinematics(robot.model, data, q)
     errors = [error for target in targets for error in _list_errors(robot, data, target, q)]
     return max((error / max(limit, LEAST_LIMIT) for error, limit in errors), default=0.0)

@@ -11,6 +11,8 @@ from jaxtyping import Float
 
 from costs.robot.model import RobotModel
 from costs.stopping import poll
+from costs.work_space import borrow_data
+from service.verify.carrying.placing import place_frames
 from service.verify.certificate import Basis, Check, Where
 from service.verify.motion import Phase, PoseTarget, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
@@ -38,7 +40,8 @@ def check_swayed_reach(prepared: PreparedMotion, phase: Phase, settings: VerifyS
     for target in list_swayed_targets(phase):
         s = float(target.at if target.at is not None else phase.last)
         q = motion.curve(np.array([s]))[0]
-        offs = [_find_leftover(motion.robot, target, q, base) for base in bases]
+        planned = pin.SE3(place_frames(motion.robot, q, [target.frame])[target.frame])
+        offs = [_find_leftover(motion.robot, target, q, base.inverse() * planned) for base in bases]
         worst = max(offs)
         is_ok = worst <= MOST_OFF_M
         text = (
@@ -60,14 +63,12 @@ def _list_bases(distance_m: float, angle_rad: float) -> list[pin.SE3]:
     return [pin.SE3(pin.exp3(angle_rad * turn), distance_m * way) for way, turn in product(ways, ways)]
 
 
-def _find_leftover(robot: RobotModel, target: PoseTarget, q: Float[np.ndarray, "n"], base: pin.SE3) -> float:
-    """Return how far a frame stays from its planned place after the joints have made up for the base's movement [m]."""
+def _find_leftover(robot: RobotModel, target: PoseTarget, q: Float[np.ndarray, "n"], wanted: pin.SE3) -> float:
+    """Return how far a frame stays from its wanted pose after the joints, from ``q`` on, have gone towards it [m]."""
     poll()
-    model, data = robot.model, robot.model.createData()
+    model, data = robot.model, borrow_data(robot.model)
     frame = model.getFrameId(target.frame)
     q = np.array(q)
-    pin.framesForwardKinematics(model, data, q)
-    wanted = base.inverse() * data.oMf[frame]
     n_rows = 3 if target.rotation is None else 6
     best = np.inf
     for _ in range(ROUNDS):
