@@ -34,7 +34,7 @@ TOUCHES = [
 ]  # fmt: skip
 RISE = {"hand": "right", "by": {"translation": [0.0, 0.0, 0.04]}, "along": "line"}
 WALK = [
-    {"name": "up", "move": RISE},
+    {"name": "push", "press": {"at": [0.74, -0.25, 1.2], **PRESS}},
     {"name": "walk", "walk": {"to": [0.2, 0.0]}},
     {"name": "up again", "move": RISE},
 ]

@@ -35,10 +35,12 @@ def request_of(steps: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
+PRESS = {"at": [0.74, -0.25, 1.2], "normal": [-1, 0, 0], "force_n": 15, "travel_m": 0.012}
 WALK = [
-    {"name": "up", "move": RISE},
+    {"name": "push", "press": PRESS},
     {"name": "walk", "walk": {"to": [0.2, 0.0]}},
-    {"name": "up again", "move": RISE},
+    {"name": "back", "move": {"posture": "reach_ready"}},
+    {"name": "push again", "press": {**PRESS, "at": [0.92, -0.25, 1.3]}},
 ]
 
 
@@ -47,12 +49,12 @@ def _walked() -> PlanResult:
     return plan(parse_request(request_of(WALK)))
 
 
-def test_a_hand_moves_before_and_after_a_certified_walk(walked: PlanResult) -> None:
+def test_hands_press_parts_before_and_after_a_certified_walk(walked: PlanResult) -> None:
     assert walked.verdict.value == "CERTIFIED", walked.explanation
     motion = walked.motion
     assert motion is not None
     names = [phase.name for phase in motion.phases]
-    assert (names[0], names[-1]) == ("up", "up again")
+    assert (names[0], names[-1]) == ("push: reach", "push again: retract")
     assert [name for name in names if name.endswith("land")] == ["walk: left foot 1: land", "walk: right foot 1: land"]
     first, last = ({foot.link: foot.pose_world_link for foot in motion.phases[k].contacts} for k in (0, -1))
     moved = np.mean([last[link][:3, 3] for link in last], axis=0)
@@ -61,6 +63,17 @@ def test_a_hand_moves_before_and_after_a_certified_walk(walked: PlanResult) -> N
     assert ahead[0] > 0.1
     assert abs(ahead[1]) < 1e-3
     np.testing.assert_allclose(middle[:2], [0.2, 0.0], atol=2e-3)
+
+
+def test_what_a_hand_has_pressed_stays_while_the_robot_walks_and_moves(walked: PlanResult) -> None:
+    assert walked.motion is not None
+    curve, phases = walked.motion.curve, walked.motion.phases
+    between = [phase for phase in phases if not phase.name.startswith("push")]
+    assert {phase.name.split(":")[0] for phase in between} == {"walk", "back"}
+    for phase in between:
+        values = curve(np.linspace(phase.first, phase.last, 20))[:, -2:]
+        np.testing.assert_allclose(values, np.tile([PRESS["travel_m"], 0.0], (20, 1)), atol=1e-6)
+    np.testing.assert_allclose(curve.positions[-1, -2:], [PRESS["travel_m"]] * 2, atol=1e-3)
 
 
 def test_the_promises_of_a_walk_are_made_again_from_the_request_alone(walked: PlanResult) -> None:
@@ -73,7 +86,7 @@ def test_the_promises_of_a_walk_are_made_again_from_the_request_alone(walked: Pl
 @pytest.mark.parametrize("to", [[0.25, 0.0], [0.2, 0.03]])
 def test_a_walk_to_another_place_is_told_apart(walked: PlanResult, to: list[float]) -> None:
     assert walked.motion is not None
-    steps = [WALK[0], {"name": "walk", "walk": {"to": to}}, WALK[2]]
+    steps = [WALK[0], {"name": "walk", "walk": {"to": to}}, *WALK[2:]]
     held = hold_to_request(make_setup_demands(prepare(parse_request(request_of(steps)))), walked.motion)
     assert held.differences
 

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
+from costs.robot import RobotModel
 from costs.rotation import pose_matrix
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
@@ -174,10 +175,10 @@ class _Walk:
     def _push(self, index: int, state: _State) -> _Done:
         named, holding = self._steps[index], state.holding
         n = self._plain.body.robot.n
-        plain = place_objects(self._plain, holding, state.at[:n], self._near)
-        own = place_objects(self._solver, holding, state.at, self._near)
+        plain = self._place(self._plain, holding, state.at[:n])
+        own = self._place(self._solver, holding, state.at)
         phases, tried = plan_part(plain, own, self._demand.parts, named, state.at, state.values)
-        if holding.items:
+        if holding.items or holding.stands is not None:
             phases = [replace(phase, phase=carry_along(phase.phase, holding), body=own.body) for phase in phases]
         order = tuple(phase.name for phase in phases)
         values = self._demand.parts.advance(named.index, state.values)
@@ -186,26 +187,23 @@ class _Walk:
 
     def _walk(self, index: int, state: _State) -> _Done:
         named, holding = self._steps[index], state.holding
-        n = self._setup.robot.n
-        if len(state.at) > n:
-            words = "parts that hands push and a change of stance do not go into one list; expected a request for each"
-            return _Done([], (), Tried(named.name, (words,)), index)
         try:
             stances, finish = read_stances(holding, self._setup.scene, named.step, named.name, state.at)
         except RequestError as error:
             return _Done([], (), Tried(named.name, error.problems), index)
-        own = self._solve(holding, state.at).solver
-        posture = None if finish is None else self._setup.robot.postures[finish]
+        own = self._place(self._solver, holding, state.at)
+        moving = own.body.robot
+        own = replace(own, body=own.body.with_robot(_hold_parts(moving, state.values), state.at))
+        posture = None if finish is None else own.body.robot.postures[finish]
         made = plan_contact_motion(own, stances, posture)
-        phases = [
-            replace(phase, phase=carry_along(rename_finish(phase.phase, named.name), holding)) for phase in made.phases
-        ]
+        phases = [_walk_on(phase, named.name, holding, moving) for phase in made.phases]
         order = tuple(phase.name for phase in list_walking_phases(holding, stances, finish, named.name))
         if made.reasons:
             best = None if made.stuck is None else made.stuck.best
             return _Done(phases, order, Tried(named.name, made.reasons, best), index)
         q = phases[-1].q[-1]
-        return _Done(phases, order, None, index, _State(q, state.values, replace(holding.settle(), stands=q)))
+        standing = replace(holding.settle(), stands=q[: self._setup.robot.n])
+        return _Done(phases, order, None, index, _State(q, state.values, standing))
 
     def _move(self, index: int, state: _State) -> _Done:
         named, holding, at = self._steps[index], state.holding, state.at
@@ -331,13 +329,48 @@ class _Walk:
 
     def _solve(self, holding: Holding, at: Float[np.ndarray, "n"]) -> StepSolver:
         """Return the solver of a step's phases from a configuration on."""
-        solver = place_objects(self._solver, holding, at, self._near)
-        if holding.stands is not None:
-            body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
-            standing = WholeBody.standing(body.robot, body.scene, holding.stands, feet, body.aims)
-            own = replace(body, planted=standing.planted, polygon=standing.polygon, region=standing.region)
-            solver = replace(solver, body=own)
-        return StepSolver(solver, holding.placed, self._setup.request)
+        return StepSolver(self._place(self._solver, holding, at), holding.placed, self._setup.request)
+
+    def _place(self, solver: PhaseSolver, holding: Holding, at: Float[np.ndarray, "n"]) -> PhaseSolver:
+        """Return a solver with the objects and the feet where they are, at a configuration of its robot."""
+        solver = place_objects(solver, holding, at, self._near)
+        if holding.stands is None:
+            return solver
+        body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
+        stands = np.concatenate([holding.stands, at[len(holding.stands) :]])
+        standing = WholeBody.standing(body.robot, body.scene, stands, feet, body.aims)
+        own = replace(body, planted=standing.planted, polygon=standing.polygon, region=standing.region)
+        return replace(solver, body=own)
+
+
+def _hold_parts(robot: RobotModel, values: Float[np.ndarray, "k"]) -> RobotModel:
+    """Return the robot whose last joints, of what its hands push, cannot move.
+
+    Args:
+        robot: with ``k`` joints of a mechanism.
+        values: of these joints [rad, m].
+    """
+    if not len(values):
+        return robot
+    first = robot.n - len(values)
+    lower, upper = (np.append(limits[:first], values) for limits in (robot.lower, robot.upper))
+    postures = {name: np.append(posture[:first], values) for name, posture in robot.postures.items()}
+    return replace(robot, lower=lower, upper=upper, postures=postures)
+
+
+def _walk_on(planned: PlannedPhase, name: str, holding: Holding, robot: RobotModel) -> PlannedPhase:
+    """Return a phase of a walk as one of a list of steps.
+
+    Args:
+        planned: of a robot whose parts cannot move.
+        name: of the step.
+        holding: who carries the objects.
+        robot: whose parts can move.
+    """
+    body = planned.body
+    if body is not None and body.robot is not robot:
+        body = body.with_robot(robot, body.nominal)
+    return replace(planned, phase=carry_along(rename_finish(planned.phase, name), holding), body=body)
 
 
 def _plan_step(

@@ -267,12 +267,12 @@ class _Stage:
             yield from list_ways_over(self.body, self.carried[0], at, end, OVER_WAYPOINTS)
 
     def make_goal(self) -> Goal:
-        """Return the goal of a free phase, with the fingers that move besides."""
+        """Return the goal of a free phase, with the fingers that move besides; what hands have pushed stays."""
         assert self.made.goal is not None
         goal, names = Goal.of(self.body, self.made.goal), self.body.robot.joint_names
         fingers = {names.index(joint): value for joint, value in self.made.fingers.items()}
-        locked = {column: float(self.at[column]) for column in self.locked}
-        return replace(goal, joints={**locked, **goal.joints, **fingers})
+        locked, still = ({k: float(self.at[k]) for k in columns} for columns in (self.locked, self.still))
+        return replace(goal, joints={**locked, **goal.joints, **fingers, **still})
 
     def lock(self, lower: Float[np.ndarray, "T n"], upper: Float[np.ndarray, "T n"]) -> None:
         """Fix the locked coordinates at all waypoints, in place."""
