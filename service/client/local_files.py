@@ -12,7 +12,7 @@ from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
 from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
 from service.request.schema import PlanRequest, RobotRequest
-from service.request.tasks.mechanism import MAX_TEXT, is_urdf_text
+from service.request.tasks.mechanism import MAX_TEXT, MechanismRequest, is_urdf_text
 from service.request.tasks.registry import TaskRequest
 from service.trust.folders import BUILT, UPLOADED, list_paths
 
@@ -84,7 +84,7 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
     Raises:
         RequestError: a file does not exist here or cannot be found by the server.
     """
-    request = replace(request, task=_inline_urdf(request))
+    request = replace(request, task=_inline_urdfs(request))
     problems = []
     uploads_first = sorted(list_paths(request), key=lambda path: path[2] in ("file", "mesh"))
     for field, path, kind in uploads_first:
@@ -172,28 +172,35 @@ def _resolve_scene(request: PlanRequest) -> SceneRequest:
     return replace(request.scene, obstacles=obstacles)
 
 
-def _inline_urdf(request: PlanRequest) -> TaskRequest | None:
-    """Return the task with the text of its mechanism's URDF, if that is a local file without meshes."""
-    task = request.task
-    if task is None or task.mechanism is None or is_urdf_text(task.mechanism.urdf):
-        return task
-    path = request.resolve(task.mechanism.urdf)
+def _inline_urdfs(request: PlanRequest) -> TaskRequest | None:
+    """Return the task with the text of its mechanisms' URDFs, where they are local files without meshes."""
+    if request.task is None:
+        return None
+    return request.task.replace_mechanisms(lambda _, mechanism: _inline_urdf(request, mechanism))
+
+
+def _inline_urdf(request: PlanRequest, mechanism: MechanismRequest) -> MechanismRequest:
+    path = request.resolve(mechanism.urdf)
     try:
-        if os.path.isabs(task.mechanism.urdf) or not path.is_file() or path.stat().st_size > MAX_TEXT:
-            return task
+        if is_urdf_text(mechanism.urdf) or os.path.isabs(mechanism.urdf) or not path.is_file():
+            return mechanism
+        if path.stat().st_size > MAX_TEXT:
+            return mechanism
         text = path.read_text(encoding="utf-8").lstrip("\ufeff \t\r\n")
     except (OSError, UnicodeDecodeError):
-        return task
+        return mechanism
     if "<mesh" in text or not is_urdf_text(text):
-        return task
-    return replace(task, mechanism=replace(task.mechanism, urdf=text))
+        return mechanism
+    return replace(mechanism, urdf=text)
 
 
 def _resolve_task(request: PlanRequest) -> TaskRequest | None:
-    task = request.task
-    if task is None or task.mechanism is None or is_urdf_text(task.mechanism.urdf):
-        return task
-    return replace(task, mechanism=replace(task.mechanism, urdf=_absolute(request, task.mechanism.urdf)))
+    def resolve(_: str, mechanism: MechanismRequest) -> MechanismRequest:
+        if is_urdf_text(mechanism.urdf):
+            return mechanism
+        return replace(mechanism, urdf=_absolute(request, mechanism.urdf))
+
+    return None if request.task is None else request.task.replace_mechanisms(resolve)
 
 
 def _absolute(request: PlanRequest, path: str) -> str:

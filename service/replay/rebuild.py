@@ -30,7 +30,7 @@ from service.request.tasks.registry import ADDED
 from service.setup.given_objects import check_given_objects
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
-from service.start.mechanism_file import inline_mechanism
+from service.start.mechanism_file import inline_mechanisms
 from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
 from service.start.standing import move_floor_to_soles, sole_corners
 
@@ -98,7 +98,7 @@ def rebuild_demands(
     Raises:
         RequestError: the request, or a file that it names, cannot be used.
     """
-    request = inline_mechanism(request)
+    request = inline_mechanisms(request)
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
     resolved = find_demand_part(request).resolve_start(request.section, request, robot)

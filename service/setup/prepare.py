@@ -27,7 +27,7 @@ from service.setup.given_objects import check_given_objects
 from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import note_snapped, note_turns
-from service.start.mechanism_file import inline_mechanism
+from service.start.mechanism_file import inline_mechanisms
 from service.start.overlaps import Overlap
 from service.start.robot import attach_bodies, load_requested_robot
 from service.start.standing import check_masses, move_floor_to_soles
@@ -115,7 +115,7 @@ def prepare(
     Raises:
         RequestError: one line per problem: files, names, limits, a start in collision or out of balance.
     """
-    request = inline_mechanism(request)
+    request = inline_mechanisms(request)
     announce = on_step or (lambda step: None)
     timings: dict[str, float] = {}
     announce("load robot")

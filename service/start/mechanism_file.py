@@ -1,4 +1,4 @@
-"""Files of a request's mechanism, read into the request, so that its result and its hash say everything."""
+"""Files of a request's mechanisms, read into the request, so that its result and its hash say everything."""
 
 from __future__ import annotations
 
@@ -8,23 +8,33 @@ from costs.robot import RobotError, read_mesh_hulls
 from costs.robot.xmlfile import read_xml_text
 from service.errors import RequestError
 from service.request.schema import PlanRequest
-from service.request.tasks.mechanism import MAX_MESH_POINTS, MAX_TEXT, MeshHullRequest, is_urdf_text
+from service.request.tasks.mechanism import (
+    MAX_MESH_POINTS,
+    MAX_TEXT,
+    MechanismRequest,
+    MeshHullRequest,
+    is_urdf_text,
+)
 
 
-def inline_mechanism(request: PlanRequest) -> PlanRequest:
-    """Return the request with the text of its mechanism's URDF instead of a path, and with its meshes' hulls.
+def inline_mechanisms(request: PlanRequest) -> PlanRequest:
+    """Return the request with the text of its mechanisms' URDFs instead of paths, and with their meshes' hulls.
 
     Meshes of a URDF file are read from inside its folder; a request with the text has its meshes.
 
     Raises:
         RequestError: one line; a file is missing or cannot be used.
     """
-    task = request.task
-    mechanism = None if task is None else task.mechanism
-    if task is None or mechanism is None or is_urdf_text(mechanism.urdf):
+    if request.task is None:
         return request
+    task = request.task.replace_mechanisms(lambda field, mechanism: _inline(request, f"{field}.urdf", mechanism))
+    return dataclasses.replace(request, task=task)
+
+
+def _inline(request: PlanRequest, field: str, mechanism: MechanismRequest) -> MechanismRequest:
+    if is_urdf_text(mechanism.urdf):
+        return mechanism
     path = request.resolve(mechanism.urdf)
-    field = "task.mechanism.urdf"
     if not path.is_file():
         raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
     try:
@@ -40,5 +50,4 @@ def inline_mechanism(request: PlanRequest) -> PlanRequest:
                 f"{field}: the hull of mesh '{name}' has {len(hull)} corners; expected at most {MAX_MESH_POINTS}"
             )
     meshes = {name: MeshHullRequest(tuple((x, y, z) for x, y, z in hull.tolist())) for name, hull in hulls.items()}
-    inlined = dataclasses.replace(mechanism, urdf=text, meshes={**meshes, **mechanism.meshes})
-    return dataclasses.replace(request, task=dataclasses.replace(task, mechanism=inlined))
+    return dataclasses.replace(mechanism, urdf=text, meshes={**meshes, **mechanism.meshes})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,16 @@ from hypothesis import strategies as st
 from service.demands import hold_to_request
 from service.demands.contacts.surfaces import FLOOR
 from service.demands.steps.holding import Holding
+from service.demands.steps.moved import MovedParts
 from service.demands.steps.walking import plan_footsteps
+from service.errors import RequestError
 from service.planner import plan
 from service.replay.rebuild import make_setup_demands
 from service.request.file import parse_request
 from service.request.tasks.steps import StepsSection, WalkStep
 from service.result.result import PlanResult
 from service.setup.prepare import PlanSetup, prepare
+from service.start.mechanism_file import inline_mechanisms
 from service.verify import Status, verify
 
 RISE = {"hand": "right", "by": {"translation": [0.0, 0.0, 0.04]}, "along": "line"}
@@ -35,13 +39,37 @@ def request_of(steps: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-PRESS = {"at": [0.74, -0.25, 1.2], "normal": [-1, 0, 0], "force_n": 15, "travel_m": 0.012}
+LEAF = (
+    '<robot name="door"><link name="frame"/><link name="leaf"><collision><origin xyz="0 -0.45 1.0"/>'
+    '<geometry><box size="0.04 0.9 2.0"/></geometry></collision></link><joint name="hinge" type="revolute">'
+    '<parent link="frame"/><child link="leaf"/><origin xyz="0 0 0.02"/><axis xyz="0 0 1"/>'
+    '<limit lower="-1.6" upper="1.6" velocity="1" effort="500"/></joint></robot>'
+)
+FIRST, SECOND = 0.3, 0.6
+
+
+def push(to: float, name: str, **more: Any) -> dict[str, Any]:
+    """A step that pushes a door with the tip of the right hand to an angle [rad]."""
+    handle = {"link": "leaf", "place": [-0.02, -0.72, 1.1], "axis": [1, 0, 0], "tool": "tip", "tilt_deg": 25}
+    mechanism = {
+        "urdf": LEAF, "position": [0.72, 0.45, 0.0], "joints": {"hinge": {"friction": 4.0}}, "handle": handle,
+        "moves": [{"joint": "hinge", "to": to}], "hand": "right", **more,
+    }  # fmt: skip
+    return {"name": name, "mechanism": mechanism}
+
+
 WALK = [
-    {"name": "push", "press": PRESS},
-    {"name": "walk", "walk": {"to": [0.2, 0.0]}},
+    push(FIRST, "open"),
+    {"name": "walk", "walk": {"to": [0.2, -0.05]}},
     {"name": "back", "move": {"posture": "reach_ready"}},
-    {"name": "push again", "press": {**PRESS, "at": [0.92, -0.25, 1.3]}},
+    push(SECOND, "wider"),
 ]
+
+
+def section_of(steps: list[dict[str, Any]]) -> StepsSection:
+    section = parse_request(request_of(steps)).section
+    assert isinstance(section, StepsSection)
+    return section
 
 
 @pytest.fixture(scope="module", name="walked")
@@ -49,31 +77,57 @@ def _walked() -> PlanResult:
     return plan(parse_request(request_of(WALK)))
 
 
-def test_hands_press_parts_before_and_after_a_certified_walk(walked: PlanResult) -> None:
+def test_a_hand_pushes_a_door_before_and_after_a_certified_walk(walked: PlanResult) -> None:
     assert walked.verdict.value == "CERTIFIED", walked.explanation
     motion = walked.motion
     assert motion is not None
     names = [phase.name for phase in motion.phases]
-    assert (names[0], names[-1]) == ("push: reach", "push again: retract")
-    assert [name for name in names if name.endswith("land")] == ["walk: left foot 1: land", "walk: right foot 1: land"]
+    assert (names[0], names[-1]) == ("open: reach", "wider: retract")
+    assert [name for name in names if name.endswith("land")][-2:] == [
+        "walk: right foot 1: land",
+        "walk: left foot 1: land",
+    ]
     first, last = ({foot.link: foot.pose_world_link for foot in motion.phases[k].contacts} for k in (0, -1))
     moved = np.mean([last[link][:3, 3] for link in last], axis=0)
     ahead = moved - np.mean([first[link][:3, 3] for link in first], axis=0)
     middle = np.mean([foot.points.mean(axis=0) for foot in motion.phases[-1].contacts], axis=0)
     assert ahead[0] > 0.1
-    assert abs(ahead[1]) < 1e-3
-    np.testing.assert_allclose(middle[:2], [0.2, 0.0], atol=2e-3)
+    np.testing.assert_allclose(middle[:2], [0.2, -0.05], atol=2e-3)
 
 
-def test_what_a_hand_has_pressed_stays_while_the_robot_walks_and_moves(walked: PlanResult) -> None:
+def test_the_door_stays_while_the_robot_walks_and_is_opened_on_from_there(walked: PlanResult) -> None:
     assert walked.motion is not None
     curve, phases = walked.motion.curve, walked.motion.phases
-    between = [phase for phase in phases if not phase.name.startswith("push")]
-    assert {phase.name.split(":")[0] for phase in between} == {"walk", "back"}
+    between = [phase for phase in phases if phase.name.split(":")[0] in ("walk", "back")]
     for phase in between:
-        values = curve(np.linspace(phase.first, phase.last, 20))[:, -2:]
-        np.testing.assert_allclose(values, np.tile([PRESS["travel_m"], 0.0], (20, 1)), atol=1e-6)
-    np.testing.assert_allclose(curve.positions[-1, -2:], [PRESS["travel_m"]] * 2, atol=1e-3)
+        np.testing.assert_allclose(curve(np.linspace(phase.first, phase.last, 20))[:, -1], FIRST, atol=1e-6)
+    assert curve.positions[-1, -1] == pytest.approx(SECOND, abs=1e-6)
+    assert walked.figures["hinge_deg"] == pytest.approx(np.rad2deg(SECOND), abs=0.1)
+
+
+def test_a_step_goes_on_where_another_left_the_same_mechanism() -> None:
+    made = MovedParts.of(section_of([push(0.3, "open"), push(0.6, "wider")]))
+    assert [given.read.joints[0].start for given in made.parts.values()] == [0.0, 0.3]
+    assert list(made.distinct) == [0]
+    assert made.mechanism is not None
+    assert [joint.name for joint in made.mechanism.joints] == ["hinge"]
+
+
+def test_a_mechanism_elsewhere_with_the_same_joints_is_refused() -> None:
+    with pytest.raises(RequestError, match="the same mechanism in both, with equal urdf, position"):
+        MovedParts.of(section_of([push(0.3, "open"), push(0.6, "wider", position=[0.73, 0.45, 0.0])]))
+
+
+def test_what_a_spring_takes_back_is_not_pushed_on() -> None:
+    sprung = {"hinge": {"friction": 4.0, "stiffness": 2.0}}
+    with pytest.raises(RequestError, match="the spring of joint hinge takes it back"):
+        MovedParts.of(section_of([push(0.3, "open", joints=sprung), push(0.6, "wider", joints=sprung)]))
+
+
+def test_the_file_of_a_step_s_urdf_is_read_into_the_request(tmp_path: Path) -> None:
+    (tmp_path / "door.urdf").write_text(LEAF)
+    request = inline_mechanisms(parse_request(request_of([push(0.3, "open", urdf="door.urdf")]), tmp_path))
+    assert request == parse_request(request_of([push(0.3, "open")]), tmp_path)
 
 
 def test_the_promises_of_a_walk_are_made_again_from_the_request_alone(walked: PlanResult) -> None:

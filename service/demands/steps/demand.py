@@ -87,8 +87,9 @@ class StepsDemand(TaskDemand):
             for item in self.objects:
                 way = poses[item.name][:3, 3] - item.start[:3, 3]
                 figures[f"moved_{item.name}_m"] = float(np.linalg.norm(way))
-        for given in self.parts.parts.values():
-            figures |= measure_ends(given.mechanism, [move.joint for move in given.request.moves], motion)
+        if self.moved is not None:
+            moved = (move.joint for given in self.parts.parts.values() for move in given.request.moves)
+            figures |= measure_ends(self.moved, moved, motion)
         return figures
 
 

@@ -48,7 +48,7 @@ class StepsDemandPart(DemandPart[StepsSection]):
         self, section: StepsSection, robot: RobotModel, start: Float[np.ndarray, "n"], obstacles: Sequence[ConvexPiece]
     ) -> Iterator[str]:
         """Yield a line for each moving part that is inside what stands still."""
-        for index, given in MovedParts.of(section).parts.items():
+        for index, given in MovedParts.of(section).distinct.items():
             if section.steps[index].mechanism is not None:  # a part that is pressed goes into its wall
                 for problem in list_mechanism_problems(given, obstacles):
                     yield problem.replace("task.mechanism", f"task.steps[{index}].mechanism")
@@ -61,8 +61,8 @@ class StepsDemandPart(DemandPart[StepsSection]):
                     yield f"task.steps[{named.index}].follow: {beyond}"
 
     def read_mechanisms(self, section: StepsSection) -> tuple[GivenMechanism, ...]:
-        """Return what the steps push."""
-        return tuple(MovedParts.of(section).parts.values())
+        """Return what the steps push, as it is at the start."""
+        return tuple(MovedParts.of(section).distinct.values())
 
     def read_physics(self, section: StepsSection) -> MechanismPhysics:
         """Return masses, friction and springs of what the steps push."""

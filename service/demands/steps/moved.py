@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.robot import Mechanism
+from costs.robot import Mechanism, MechanismJoint
 from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 from service.demands.phase import TaskPhase
 from service.demands.steps.extent import Extent
@@ -35,10 +35,12 @@ class MovedParts:
     """The parts that steps move.
 
     Attributes:
-        parts: mechanism by index of its step.
+        parts: mechanism by index of its step, as it is when the step begins.
+        firsts: index of the first step that moves the same mechanism, by index of a step.
     """
 
     parts: Mapping[int, GivenMechanism]
+    firsts: Mapping[int, int]
 
     @staticmethod
     def of(section: StepsSection) -> MovedParts:
@@ -47,28 +49,40 @@ class MovedParts:
         Raises:
             RequestError: a mechanism cannot be used, or two of them have a joint or a link of one name.
         """
-        parts = {
-            named.index: _read(named.step, f"task.steps[{named.index}]", named.index)
-            for named in Extent.of(section).done
-            if named.step.mechanism is not None or named.step.press is not None
-        }
-        names = [joint.name for given in parts.values() for joint in given.read.joints]
-        links = [joint.link for given in parts.values() for joint in given.read.joints]
+        parts, firsts = dict[int, GivenMechanism](), dict[int, int]()
+        for named in Extent.of(section).done:
+            if named.step.mechanism is None and named.step.press is None:
+                continue
+            field, request = f"task.steps[{named.index}]", _read_request(named.step, named.index)
+            before = [index for index, given in parts.items() if _is_same(given.request, request)]
+            firsts[named.index] = firsts[before[-1]] if before else named.index
+            if before:
+                request = _go_on(parts[before[-1]], request, field)
+            parts[named.index] = _read(request, field, "press" if named.step.mechanism is None else "mechanism")
+        made = MovedParts(parts, firsts)
+        names = [joint.name for given in made.distinct.values() for joint in given.read.joints]
+        links = [joint.link for given in made.distinct.values() for joint in given.read.joints]
         twice = find_repeated(names) or find_repeated(links)
         if twice:
             raise RequestError(
                 f"task.steps: the mechanisms of two steps have a joint or a link '{twice[0]}'; expected a name for "
-                "each, or one step with several moves"
+                "each, or the same mechanism in both, with equal urdf, position, joints and releases"
             )
-        return MovedParts(parts)
+        return made
+
+    @property
+    def distinct(self) -> Mapping[int, GivenMechanism]:
+        """Every mechanism once, as it is at the start, by the index of the first step that moves it."""
+        return {index: self.parts[index] for index in self.firsts.values()}
 
     @cached_property
     def mechanism(self) -> Mechanism | None:
         """All joints as one mechanism; None where no step moves any."""
         if not self.parts:
             return None
-        joints = tuple(joint for given in self.parts.values() for joint in given.mechanism.joints)
-        releases = tuple(release for given in self.parts.values() for release in given.mechanism.releases)
+        paces = [joint for given in self.parts.values() for joint in given.mechanism.joints]
+        joints = tuple(_slow_down(joint, paces) for given in self.distinct.values() for joint in given.mechanism.joints)
+        releases = tuple(release for given in self.distinct.values() for release in given.mechanism.releases)
         return Mechanism(MECHANISM, joints, releases)
 
     def widen(
@@ -106,10 +120,48 @@ class MovedParts:
         return after
 
 
-def _read(step: StepRequest, field: str, index: int) -> GivenMechanism:
+def _read_request(step: StepRequest, index: int) -> MechanismRequest:
+    return step.mechanism if step.mechanism is not None else make_pressed_part(step.press, index)  # type: ignore[arg-type]
+
+
+def _is_same(one: MechanismRequest, other: MechanismRequest) -> bool:
+    """Return whether two requests give the same mechanism, whatever is done with it and wherever it starts."""
+    return _strip(one) == _strip(other)
+
+
+def _strip(request: MechanismRequest) -> tuple[object, ...]:
+    joints = {name: replace(joint, start=None) for name, joint in request.joints.items()}
+    own = {name: joint for name, joint in joints.items() if joint != MechanismJointRequest()}
+    return request.urdf, request.position, request.quaternion_wxyz, own, request.releases, request.meshes
+
+
+def _go_on(before: GivenMechanism, request: MechanismRequest, field: str) -> MechanismRequest:
+    """Return the request of a mechanism whose joints start where an earlier step has left them.
+
+    Raises:
+        RequestError: a spring has taken one of them back.
+    """
+    ends = dict(zip((joint.name for joint in before.read.joints), before.list_moves()[-1][1].tolist(), strict=True))
+    for joint in before.read.joints:
+        if joint.name in before.moved.springs and ends[joint.name] != joint.start:
+            raise RequestError(
+                f"{field}.mechanism: the spring of joint {joint.name} takes it back once the hand of an earlier step "
+                "has gone; expected all moves that it has to stay for in one step, or a move of it back before"
+            )
+    joints = {name: replace(request.joints.get(name, MechanismJointRequest()), start=end) for name, end in ends.items()}
+    return replace(request, joints=joints)
+
+
+def _slow_down(joint: MechanismJoint, paces: Sequence[MechanismJoint]) -> MechanismJoint:
+    """Return a joint with the slowest of the paces that the loads of the steps are made for."""
+    own = [pace for pace in paces if pace.name == joint.name]
+    return replace(
+        joint, velocity=min(pace.velocity for pace in own), acceleration=min(pace.acceleration for pace in own)
+    )
+
+
+def _read(request: MechanismRequest, field: str, kind: str) -> GivenMechanism:
     """Return the mechanism of a step; its messages name the step."""
-    kind = "mechanism" if step.mechanism is not None else "press"
-    request = step.mechanism if step.mechanism is not None else make_pressed_part(step.press, index)  # type: ignore[arg-type]
     try:
         return read_given_mechanism(request)
     except RequestError as error:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from importlib.metadata import entry_points
 from typing import TypeVar
 
@@ -115,3 +116,21 @@ class TaskRequest(Section):
         """The section of its kind."""
         section = getattr(self, self.kind.name)
         return section if isinstance(section, TaskSection) else self.kind.section(section)  # type: ignore[call-arg]
+
+    def replace_mechanisms(self, change: Callable[[str, MechanismRequest], MechanismRequest]) -> TaskRequest:
+        """Return the task with other mechanisms.
+
+        Args:
+            change: of the field's name and the mechanism in it.
+        """
+        if self.mechanism is not None:
+            return replace(self, mechanism=change("task.mechanism", self.mechanism))
+        if self.steps is None:
+            return self
+        steps = tuple(
+            step
+            if step.mechanism is None
+            else replace(step, mechanism=change(f"task.steps[{index}].mechanism", step.mechanism))
+            for index, step in enumerate(self.steps)
+        )
+        return replace(self, steps=steps)
