@@ -179,6 +179,8 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
         words = _WORDS[kind].format(**context) if kind in _WORDS else detail["msg"]
     if kind not in _SPEAK_FOR_THEMSELVES and isinstance(value, str | int | float | list | tuple | None):
         words += f", got {shown(value)}"
+    if kind == "string_type" and isinstance(value, bool):
+        words += "; YAML reads yes, no, on and off as true and false: put the text in quotes"
     return f"{field}: {words}" if field else words
 
 

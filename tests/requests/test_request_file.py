@@ -107,6 +107,7 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("start: {joints: {a: -.inf}}", "start.joints.a: a finite number is needed, got -inf"),
         ("start: {joints: {a: 'NaN'}}", "start.joints.a: a number is needed, got 'NaN'"),
         ("start: {joints: {a: yes}}", "start.joints.a: a number is needed, got True"),
+        ("start: {posture: on}", "start.posture: a text is needed, got True; YAML reads yes, no, on and off as true"),
         ("start: {joints: [1]}", "start.joints: a mapping is needed, got [1]"),
         ("start: null", "start: a mapping is needed, got None"),
         (
