@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,9 +41,10 @@ from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
+from service.demands.distances import Distances
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.request.schema import Options
-from service.verify import NO_SWAY, PlantedContact, Sway, bound_largest_sway
+from service.verify import PlantedContact
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -75,35 +75,28 @@ class Aims:
     Attributes:
         margin: clearance aimed at.
         balance_margin: distance of the centre of mass inside the support polygon.
-        clearance: demanded distance from the world, below which no motion is certified.
-        sway: of a base that something else balances.
-        padding: what links and pieces add to that of their pairs, by name; a pair demands the sum, at least
-            ``clearance``.
+        distances: demanded ones from the world, below which no motion is certified.
     """
 
     margin: float = 0.02
     balance_margin: float = 0.02
-    clearance: float = 0.0
-    sway: Sway = NO_SWAY
-    padding: Mapping[str, float] = field(default_factory=dict)
+    distances: Distances = field(default_factory=Distances)
 
     @staticmethod
-    def of(options: Options, robot: RobotModel, padding: Mapping[str, float]) -> Aims:
-        """Return the margins of a request; a demanded clearance is aimed at with a reserve, and with a base's sway."""
-        sway = Sway(options.sway_m, options.sway_deg)
-        demanded = options.clearance_m + bound_largest_sway(robot, sway)
-        margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
-        return Aims(margin, options.balance_margin_m, options.clearance_m, sway, padding)
+    def of(options: Options, robot: RobotModel, scene: Scene) -> Aims:
+        """Return the margins of a request; demanded distances are aimed at with a reserve."""
+        distances = Distances.of(options, scene)
+        least = distances.bound_least(robot)
+        margin = max(options.margin_m, least + CLEARANCE_RESERVE_M) if least else options.margin_m
+        return Aims(margin, options.balance_margin_m, distances)
 
     def list_padded(self, robot: RobotModel, scene: Scene) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
         """Return the margins of links and pieces whose padding demands more than the margin of all others."""
-        found = []
-        links = dict.fromkeys(body.link for body in robot.bodies if body.link not in robot.mechanism_links)
-        for link, piece in product(links, scene.pieces) if self.padding else ():
-            least = self.padding.get(link, 0.0) + self.padding.get(piece.name, 0.0)
-            if least + CLEARANCE_RESERVE_M > self.margin and least > 0.0:
-                found.append((BodyRef("robot", link), BodyRef("scene", None, piece.name), least + CLEARANCE_RESERVE_M))
-        return tuple(found)
+        return tuple(
+            (BodyRef("robot", link), BodyRef("scene", None, piece), least + CLEARANCE_RESERVE_M)
+            for link, piece, least in self.distances.list_padded(robot, scene)
+            if least + CLEARANCE_RESERVE_M > self.margin
+        )
 
 
 @dataclass(frozen=True)
