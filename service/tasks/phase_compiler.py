@@ -21,8 +21,7 @@ from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
-from service.body.poses import PoseProblem, Poses, find_pose
-from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
+from service.body.poses import PoseProblem, Poses, Seed, find_pose, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
 from service.body.task_plan import KeptCurve, PlannedPhase, Solved, Stuck
 from service.demands.phase import FrameMotion, TaskPhase

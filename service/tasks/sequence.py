@@ -18,8 +18,7 @@ from jaxtyping import Float
 from costs.robot import Mechanism, with_mechanism
 from service.body.effort import Effort
 from service.body.phases import PhaseSolver
-from service.body.poses import find_pose
-from service.body.seeds import Seed, name_seeds, random_guesses
+from service.body.poses import Seed, find_pose, name_seeds, random_guesses
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.holds.pushes import add_pushes
 from service.demands.phase import TaskPhase, check_moves

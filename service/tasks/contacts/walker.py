@@ -14,9 +14,8 @@ from service.body.holds import project_onto_holds
 from service.body.ladder import MotionSearch, Path, find_motion
 from service.body.paths import bend_path, cut_path, path_via
 from service.body.phases import PhaseSolver
-from service.body.poses import find_pose
+from service.body.poses import Seed, find_pose, posture_guesses
 from service.body.sampling import free_coordinates
-from service.body.seeds import Seed, posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Stuck
 from service.body.whole_body import WholeBody

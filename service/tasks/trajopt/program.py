@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, list_motions
 from service.body.phases import PhaseSolver, report_solutions
-from service.body.poses import find_pose
-from service.body.seeds import posture_guesses
+from service.body.poses import find_pose, posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
