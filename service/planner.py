@@ -149,7 +149,7 @@ def _note_missed_margin(result: PlanResult) -> Iterator[str]:
 def _make_solver(setup: PlanSetup, monitor: Monitor, terms: Terms | None) -> PhaseSolver:
     """Return the solver of the phases: the robot planted at its start, with the request's margins and settings."""
     options = setup.request.options
-    aims = Aims.of(options, setup.robot, setup.padding)
+    aims = Aims.of(options, setup.robot, setup.scene)
     try:
         body = replace(WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims), kept=setup.kept)
     except StaticRegionError as error:

@@ -9,15 +9,14 @@ point of the group ``scopt_detectors``: ``KIND = module:DETECTOR``, with an offe
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib import import_module
-from importlib.metadata import entry_points
 
 import numpy as np
 from jaxtyping import Float
 
+from costs.entry_points import load_entry_points
 from costs.stopping import Stopped, poll
 from perception.detect.engine.click import fit_at
 from perception.detect.engine.kinds import CLICKED
@@ -36,27 +35,6 @@ _MOSTLY = 0.5
 _MOST_AT_CLICK = 4
 _SEARCHED = frozenset({"drill"})  # kinds whose detectors make the same fits
 _ALSO = {"valve": ("wheel",)}  # detectors that find part of a kind about a click within a second
-
-
-def _find_added() -> Iterator[tuple[str, Detector]]:
-    """Yield the detectors that other packages add, by kind.
-
-    Raises:
-        PerceptionError: a package fails, gives something else, or takes a kind that is taken.
-    """
-    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
-        where = f"entry point {entry.name!r} of {ENTRY_POINTS} ({entry.value})"
-        try:
-            detector = entry.load()
-        except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            words = f"{where}: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
-            raise PerceptionError(words) from error
-        if not isinstance(detector, Detector):
-            raise PerceptionError(f"{where}: {detector!r}; expected a Detector")
-        if entry.name in SHIPPED:
-            raise PerceptionError(f"{where}: a detector of {entry.name!r} exists already; expected another name")
-        yield entry.name, detector
 
 
 def _find_by(place: str, *seen: object, **options: object) -> list[Detection]:
@@ -85,7 +63,10 @@ SHIPPED: Mapping[str, Detector] = {
     "turnable": Detector(partial(_find_by, "valve.detector:detect_turnable"), offered_as="valve"),
     "wheel": Detector(partial(_find_by, "valve.wheel:detect_wheels"), offered_as="valve"),
 }
-DETECTORS: Mapping[str, Detector] = {**SHIPPED, **dict(_find_added())}
+DETECTORS: Mapping[str, Detector] = {
+    **SHIPPED,
+    **dict(load_entry_points(ENTRY_POINTS, Detector, SHIPPED, PerceptionError)),
+}
 KINDS = tuple(kind for kind, detector in DETECTORS.items() if detector.offered_as is None)
 
 

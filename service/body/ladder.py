@@ -19,8 +19,8 @@ from costs.scene import ConvexPiece, Scene
 from service.body.effort import Effort
 from service.body.paths import measure_length, path_via, resample_path, straight_path
 from service.body.phases import PhaseSolver
+from service.body.poses import posture_guesses
 from service.body.sampling import Tree
-from service.body.seeds import posture_guesses
 from service.body.starts import BETWEEN_POSES, End, Policy, Start, Way
 from service.body.task_plan import Solved
 from service.body.whole_body import SAMPLING_CLEARANCE

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+LEAST_WAYPOINTS = 3  # of a path with something between its ends
+
 
 def straight_path(
     first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"], n_waypoints: int
@@ -34,6 +36,12 @@ def bend_path(
     way = np.concatenate([[0.0], np.cumsum(steps)])
     share = (way / way[-1] if way[-1] > 0.0 else np.linspace(0.0, 1.0, len(path)))[:, None]
     return np.asarray(path + (1.0 - share) * (first - path[0]) + share * (last - path[-1]))
+
+
+def cut_path(path: Float[np.ndarray, "T n"], at: Float[np.ndarray, "n"]) -> Float[np.ndarray, "S n"] | None:
+    """Return a path from its waypoint nearest to a configuration on; None where nothing between its ends is left."""
+    rest = path[int(np.abs(path - at).max(axis=1).argmin()) :]
+    return rest if len(rest) >= LEAST_WAYPOINTS else None
 
 
 def measure_length(corners: Float[np.ndarray, "K n"]) -> float:

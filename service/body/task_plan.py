@@ -19,6 +19,7 @@ from service.body.holds import Hold
 from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.verify import Motion, Target
 
 MOST_REASONS = 5
@@ -43,6 +44,15 @@ class KeptCurve:
     curve: Curve
     law: TimeLaw | None = None
     is_settled: bool = False
+
+    @staticmethod
+    def of(earlier: EarlierMotion, phase: str) -> KeptCurve | None:
+        """Return a phase of an earlier motion, with its part of the time law where that leads from rest to rest."""
+        curve = earlier.curves.get(phase)
+        if curve is None:
+            return None
+        law = None if earlier.law is None else earlier.law.cut(float(curve.knots[0]), float(curve.knots[-1]))
+        return KeptCurve(curve, law, is_settled=law is not None)
 
 
 @dataclass(frozen=True)

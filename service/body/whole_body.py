@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,25 +25,23 @@ from costs.scene import Scene
 from costs.state import MotionState
 from costs.support import SupportPolygon
 from costs.terms import (
-    AxisDirection,
     CentreOfMassAt,
     CentreOfMassInPolygon,
     ContactPlace,
     FramePose,
     Joined,
-    JointDifference,
-    JointTarget,
-    Positive,
     Room,
     SweptClearance,
 )
 from scopt import Constraint, Cost, Problem, Residual, Sense
+from service.body.comfort import keep_balanced, keep_in_region, keep_upright, smooth_joints
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
 from service.body.loaded_regions import PlannedRegion, plan_contact_region
+from service.demands.distances import Distances
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.request.schema import Options
-from service.verify import NO_SWAY, PlantedContact, Sway, bound_largest_sway
+from service.verify import PlantedContact
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
@@ -56,11 +53,6 @@ LEAST_APART = 5e-4  # between waypoints of pairs that are farther apart than the
 TOUCHING_SHARE = 0.9  # of that tolerance by which an end may be deeper than a pair that may touch is aimed at
 ACCEPTABLE_SHARE = 0.3  # of the margin that may be missing when a solve takes long
 LIMIT_RESERVE = 0.01  # kept from the joint limits at free waypoints, for the curve between them [rad, m]
-UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
-BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint
-BALANCE_WEIGHT = 50.0  # averaged over the waypoints [cost/m^2]
-RESERVE_M = 0.045  # balance margin that is enough for position servos, and a little for the curve between waypoints [m]
-RESERVE_WEIGHT = 2000.0  # of what is missing of it, averaged over the waypoints [cost/m^2]
 ROOM_WEIGHT = 300.0  # of what is missing of the room, averaged over the waypoints [cost/m^2]
 LEAST_SEEN = 1e-4  # distance of links from which single poses count as apart [m]
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
@@ -75,35 +67,28 @@ class Aims:
     Attributes:
         margin: clearance aimed at.
         balance_margin: distance of the centre of mass inside the support polygon.
-        clearance: demanded distance from the world, below which no motion is certified.
-        sway: of a base that something else balances.
-        padding: what links and pieces add to that of their pairs, by name; a pair demands the sum, at least
-            ``clearance``.
+        distances: demanded ones from the world, below which no motion is certified.
     """
 
     margin: float = 0.02
     balance_margin: float = 0.02
-    clearance: float = 0.0
-    sway: Sway = NO_SWAY
-    padding: Mapping[str, float] = field(default_factory=dict)
+    distances: Distances = field(default_factory=Distances)
 
     @staticmethod
-    def of(options: Options, robot: RobotModel, padding: Mapping[str, float]) -> Aims:
-        """Return the margins of a request; a demanded clearance is aimed at with a reserve, and with a base's sway."""
-        sway = Sway(options.sway_m, options.sway_deg)
-        demanded = options.clearance_m + bound_largest_sway(robot, sway)
-        margin = max(options.margin_m, demanded + CLEARANCE_RESERVE_M) if demanded else options.margin_m
-        return Aims(margin, options.balance_margin_m, options.clearance_m, sway, padding)
+    def of(options: Options, robot: RobotModel, scene: Scene) -> Aims:
+        """Return the margins of a request; demanded distances are aimed at with a reserve."""
+        distances = Distances.of(options, scene)
+        least = distances.bound_least(robot)
+        margin = max(options.margin_m, least + CLEARANCE_RESERVE_M) if least else options.margin_m
+        return Aims(margin, options.balance_margin_m, distances)
 
     def list_padded(self, robot: RobotModel, scene: Scene) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
         """Return the margins of links and pieces whose padding demands more than the margin of all others."""
-        found = []
-        links = dict.fromkeys(body.link for body in robot.bodies if body.link not in robot.mechanism_links)
-        for link, piece in product(links, scene.pieces) if self.padding else ():
-            least = self.padding.get(link, 0.0) + self.padding.get(piece.name, 0.0)
-            if least + CLEARANCE_RESERVE_M > self.margin and least > 0.0:
-                found.append((BodyRef("robot", link), BodyRef("scene", None, piece.name), least + CLEARANCE_RESERVE_M))
-        return tuple(found)
+        return tuple(
+            (BodyRef("robot", link), BodyRef("scene", None, piece), least + CLEARANCE_RESERVE_M)
+            for link, piece, least in self.distances.list_padded(robot, scene)
+            if least + CLEARANCE_RESERVE_M > self.margin
+        )
 
 
 @dataclass(frozen=True)
@@ -394,9 +379,10 @@ class WholeBody:
 
         defaults: tuple[Cost[MotionState], ...] = ()
         if self.has_default_costs:
-            defaults = self._smoothness(n_waypoints)
+            defaults = smooth_joints(self.robot, self.nominal, n_waypoints)
         if self.has_default_costs and self.is_comfortable:
-            defaults = (*defaults, *self._upright(everywhere), *self._comfort(everywhere, regions))
+            balanced_costs = keep_balanced(self.polygon, regions, everywhere, wants_reserve=self.wants_reserve)
+            defaults = (*defaults, *keep_upright(self.robot, everywhere), *balanced_costs)
         if self.room_m > 0.0:
             defaults = (*defaults, Cost("room", Room(self.robot, self.room_m), ROOM_WEIGHT / n_waypoints))
         return Problem(
@@ -438,71 +424,3 @@ class WholeBody:
         if self.robot.is_floating:
             mobility[: len(BASE_NAMES)] = BASE_MOBILITY
         return mobility
-
-    def _smoothness(self, n_waypoints: int) -> tuple[Cost[MotionState], ...]:
-        """Return costs of joint displacement, the same for a finer trajectory of the same motion."""
-        weights = np.ones(self.robot.n)
-        if self.robot.is_floating:
-            weights[: len(BASE_NAMES)] = BASE_WEIGHTS
-        everywhere = np.arange(n_waypoints)
-        joints = np.arange(len(BASE_NAMES) if self.robot.is_floating else 0, self.robot.n)
-        nominal = JointTarget(n_waypoints, self.robot.n, everywhere, joints, self.nominal[joints])
-        costs: list[Cost[MotionState]] = [Cost("nominal posture", nominal, weight=0.05 / n_waypoints)]
-        if n_waypoints > 1:
-            displacement = JointDifference(n_waypoints, weights)
-            costs.append(Cost("displacement", displacement, weight=0.2 * n_waypoints))
-        return tuple(costs)
-
-    def _upright(self, everywhere: np.ndarray) -> tuple[Cost[MotionState], ...]:
-        """Return costs that keep the links of the robot's upright group upright."""
-        up = np.array([0.0, 0.0, 1.0])
-        return tuple(
-            Cost(
-                f"upright {link}",
-                AxisDirection(self.robot, link, everywhere, up, up),
-                weight=UPRIGHT_WEIGHT / len(everywhere),
-            )
-            for link in self.robot.link_groups.get("upright", ())
-        )
-
-    def _comfort(self, everywhere: np.ndarray, regions: Sequence[PlannedRegion]) -> tuple[Cost[MotionState], ...]:
-        """Return costs that keep the centre of mass near the middle of where the feet hold it, and off its edges.
-
-        The first makes motions faster; the second leaves position servos a margin to sag by.
-        """
-        middle: Residual[MotionState]
-        inside: Residual[MotionState]
-        if regions:
-            middle = Joined(
-                [
-                    CentreOfMassAt(planned.region.vertices.mean(axis=0), everywhere[planned.first : planned.last + 1])
-                    for planned in regions
-                ]
-            )
-            inside = Joined([keep_in_region(planned, everywhere, RESERVE_M) for planned in regions])
-        elif self.polygon is not None:
-            middle = CentreOfMassAt(self.polygon.vertices.mean(axis=0), everywhere)
-            inside = CentreOfMassInPolygon(self.polygon, everywhere, RESERVE_M)
-        else:
-            return ()
-        comfort = Cost("comfortable balance", middle, BALANCE_WEIGHT / len(everywhere))
-        if not self.wants_reserve or len(everywhere) == 1:  # single poses would take half as long again
-            return (comfort,)
-        return (comfort, reserve_balance(inside, len(everywhere)))
-
-
-def reserve_balance(outside: Residual[MotionState], n_waypoints: int) -> Cost[MotionState]:
-    """Return the cost of a balance margin in which position servos have too little room to sag.
-
-    Args:
-        outside: distance of the centre of mass outside of what holds the robot, which is made smaller by the margin
-            that is enough, ``RESERVE_M`` [m].
-        n_waypoints: at which it is measured.
-    """
-    return Cost("balance for servos", Positive(outside), RESERVE_WEIGHT / n_waypoints)
-
-
-def keep_in_region(planned: PlannedRegion, everywhere: Int[np.ndarray, "T"], margin: float) -> Residual[MotionState]:
-    """Return the distance of the centre of mass outside a region, at the waypoints of its stretch [m]."""
-    waypoints = everywhere[planned.first : planned.last + 1]
-    return CentreOfMassInPolygon(planned.region.polygon, waypoints, margin + planned.shift_m)

@@ -15,9 +15,9 @@ from costs.allowance import Allowance
 from costs.robot import RobotModel, read_joint_axis
 from costs.robot.carried import MovableObject
 from costs.scene import Scene
+from service.demands.distances import Distances
 from service.demands.neighbours import make_neighbour_allowances
 from service.demands.phase import TaskPhase
-from service.demands.scene import find_padding
 from service.demands.stance import (
     Stance,
     list_planted_feet,
@@ -35,7 +35,6 @@ from service.verify import (
     Motion,
     Phase,
     SupportPolygon,
-    Sway,
     Target,
     bodies_hash,
     list_waived_checks,
@@ -117,14 +116,13 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
     )
     if recorded.waived != waived:
         differences.append("the record waives other checks than the request")
-    if recorded.clearance_m != demands.request.options.clearance_m:
-        differences.append("the record demands another clearance than the request")
     options = demands.request.options
-    sway = Sway(options.sway_m, options.sway_deg)
-    if recorded.sway != sway:
+    distances = Distances.of(options, demands.world.scene)
+    if recorded.clearance_m != distances.clearance_m:
+        differences.append("the record demands another clearance than the request")
+    if recorded.sway != distances.sway:
         differences.append("the record lets the base sway in another way than the request")
-    padding = find_padding(options.padding, demands.world.scene)
-    if recorded.padding != padding:
+    if recorded.padding != distances.padding:
         differences.append("the record demands another padding than the request")
     if recorded.jerk_scale != options.jerk_scale:
         differences.append("the record limits the jerk in another way than the request")
@@ -147,9 +145,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         phases=phases,
         mechanism_links=robot.mechanism_links,
         waived=waived,
-        clearance_m=options.clearance_m,
-        sway=sway,
-        padding=padding,
+        clearance_m=distances.clearance_m,
+        sway=distances.sway,
+        padding=distances.padding,
         jerk_scale=options.jerk_scale,
         tool_speed_m_s=options.tool_speed_m_s,
         pace=options.pace,

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from costs.robot import Mechanism, RobotModel
-from service.demands.figures.displacement import measure_displacement
 from service.demands.holds.pushes import add_pushes
 from service.demands.phase import TaskPhase
+from service.demands.rest.displacement import measure_displacement
 from service.demands.stance import UNSETTLED
 from service.demands.task_demand import IncompletePlanError, RecordDemand, TaskDemand, World
 from service.request.resume import NominalRequest

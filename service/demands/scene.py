@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotModel, shapes
 from costs.scene import ConvexPiece, Scene
-from service.errors import RequestError, shown, would_do
+from service.errors import RequestError
 from service.request.names import TakenNames, check_scene_file_names, rename_clashing
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
@@ -74,39 +74,10 @@ def find_recorded_obstacles(request: PlanRequest, recorded: Scene) -> tuple[Conv
     return tuple(
         piece
         for piece in recorded.pieces
-        if piece.kind != FLOOR_KIND and any(piece.name == name or _is_part(piece.name, name) for name in names)
+        if piece.kind != FLOOR_KIND and any(piece.name == name or is_part(piece.name, name) for name in names)
     )
 
 
-def find_padding(given: Mapping[str, float], scene: Scene) -> dict[str, float]:
-    """Return the padding of links and of the scene's pieces by name [m]; that of a mesh is one of all its pieces."""
-    found = dict(given)
-    for piece in scene.pieces:
-        owners = [name for name in given if _is_part(piece.name, name)]
-        found.update((piece.name, given[name]) for name in owners if piece.name not in given)
-    return found
-
-
-def check_padding(given: Mapping[str, float], robot: RobotModel, scene: Scene) -> None:
-    """Refuse padding of names that are neither a link with a shape, a carried body nor an obstacle or piece.
-
-    Raises:
-        RequestError: one line per unknown name.
-    """
-    links = dict.fromkeys(body.link for body in robot.bodies)
-    pieces = dict.fromkeys(piece.name for piece in scene.pieces)
-    names = [*links, *pieces, *(name.rpartition("/")[0] for name in pieces if "/" in name)]
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise RequestError(
-            [
-                f"options.padding: {shown(name)} is no link with a shape, carried body or obstacle; "
-                f"{would_do(name, names)}"
-                for name in unknown
-            ]
-        )
-
-
-def _is_part(piece: str, obstacle: str) -> bool:
+def is_part(piece: str, obstacle: str) -> bool:
     """Return whether a piece is named like a part of a mesh."""
     return piece.startswith(f"{obstacle}/") and piece[len(obstacle) + 1 :].isdigit()

@@ -57,6 +57,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         _make_phase(_find_body(plan, phase), phase, neighbours, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
         for phase, a, b in zip(plan.phases, spline.ends[:-1], spline.ends[1:], strict=True)
     )
+    distances = body.aims.distances
     motion = Motion(
         robot=body.robot,
         scene=body.scene,
@@ -68,9 +69,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
             is_balanced=not body.robot.is_floating or body.polygon is not None or body.region is not None,
         ),
         releases=body.releases,
-        clearance_m=body.aims.clearance,
-        sway=body.aims.sway,
-        padding=body.aims.padding,
+        clearance_m=distances.clearance_m,
+        sway=distances.sway,
+        padding=distances.padding,
         jerk_scale=None if timing is None else timing.jerk_scale,
         tool_speed_m_s=None if timing is None else timing.tool_speed_m_s,
         pace=None if timing is None else timing.pace,

@@ -20,7 +20,6 @@ from scopt import Cost, Iteration, Settings, TrustRegionSQP
 from service.body.holds import POSITION, ROTATION, Hold
 from service.body.inverse_kinematics import solve_holds
 from service.body.whole_body import Aims, WholeBody
-from service.demands import find_padding
 from service.demands.stance import Stance, make_standing_allowances
 from service.errors import RequestError
 from service.posing.drag import Drag, DragTarget, LedPose, Move
@@ -59,11 +58,9 @@ class PoseWorld:
 
     Attributes:
         body: the robot where it stands; its nominal posture is that of the start.
-        clearance_m: demanded distance from pieces [m].
     """
 
     body: WholeBody
-    clearance_m: float = 0.0
 
     @staticmethod
     def standing(
@@ -73,9 +70,7 @@ class PoseWorld:
 
         Margins and clearance are those of ``options``.
         """
-        padding = find_padding(options.padding, scene)
-        aims = Aims(options.margin_m, options.balance_margin_m, options.clearance_m, padding=padding)
-        return PoseWorld(WholeBody.standing(robot, scene, q, feet, aims), aims.clearance)
+        return PoseWorld(WholeBody.standing(robot, scene, q, feet, Aims.of(options, robot, scene)))
 
     @property
     def robot(self) -> RobotModel:
@@ -103,7 +98,8 @@ class PoseWorld:
             support=stance.support("pose", body.nominal),
             allowances=make_standing_allowances(stance.contacts, body.scene),
         )
-        return RestingPoses(self.robot, body.scene, phase, body.nominal, self.clearance_m, body.aims.padding)
+        demanded = body.aims.distances
+        return RestingPoses(self.robot, body.scene, phase, body.nominal, demanded.clearance_m, demanded.padding)
 
     def find_problems(self, drag: Drag) -> list[str]:
         """Return what of a drag the robot does not have, a sentence each."""

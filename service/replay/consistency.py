@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from service.demands import Demands
-from service.demands.figures.displacement import DISPLACED_MM
+from service.demands.rest.displacement import DISPLACED_MM
 from service.errors import shown
 from service.motion.expected_sag import expect_sag
 from service.replay.standing import is_comparable

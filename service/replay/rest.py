@@ -8,11 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from costs.robot import BASE_NAMES, RobotModel
 from service.demands import has_scan
 from service.demands.held_motion import Demands
+from service.demands.rest.earlier_motion import record_motion
 from service.demands.task_demand import IncompletePlanError
 from service.demands.valve.demand import turn_back
 from service.errors import RequestError, ResultError, shown
@@ -20,7 +19,7 @@ from service.replay.detections import read_doors, read_seen_parts, read_valves
 from service.replay.rebuild import RecordedWorld, rebuild_demands, select_scanned
 from service.replay.replay import read_record, read_request
 from service.request.file import hash_request_data, load_section, replace_cloud
-from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
+from service.request.resume import ResumeRequest
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest, PoseRequest, StartRequest, StateRequest
 from service.result.folder import read_result, result_path
@@ -29,8 +28,6 @@ from service.result.motion_json import BASE_COLUMNS
 from service.setup.world import Surroundings
 from service.start.configuration import make_start_configuration
 from service.verify import Motion
-
-NOMINAL_DIGITS = 7  # of the positions of an earlier motion
 
 
 def hash_plan(data: Mapping[str, Any]) -> str:
@@ -137,10 +134,10 @@ def _make_resume(demands: Demands, motion: Motion) -> ResumeRequest:
     """Return a section with the choices of the earlier plan; those that it kept itself are kept on."""
     resume = demands.request.resume
     if resume is not None:
-        return resume if resume.nominal is None else replace(resume, nominal=_keep_motion(motion))
+        return resume if resume.nominal is None else replace(resume, nominal=record_motion(motion))
     if not demands.request.section.can_resume:
         raise IncompletePlanError("its task has no phases")
-    nominal = _keep_motion(motion) if demands.task.keeps_motion else None
+    nominal = record_motion(motion) if demands.task.keeps_motion else None
     choices = demands.task.keep_choices(motion)
     return ResumeRequest(phase="-", plan="sha256:" + 64 * "0", nominal=nominal, **choices)
 
@@ -162,20 +159,6 @@ def _read_state(data: dict[str, Any], phase: str) -> StateRequest:
         base = PoseRequest(tuple(numbers[:3]), tuple(numbers[3:]))
     mechanism = {movable["joint"]: movable["angles"][at] for movable in data["movables"]}
     return StateRequest(joints=values, base=base, mechanism=mechanism)
-
-
-def _keep_motion(motion: Motion) -> NominalRequest:
-    """Return a motion's curve by phase with its time law: the new one is kept near it."""
-    curve, law, phases = motion.curve, motion.law, {}
-    for phase in motion.phases:
-        knots = curve.find_knots(phase.first, phase.last)
-        positions, tangents = (
-            tuple(np.round(values[knots], NOMINAL_DIGITS).ravel().tolist())
-            for values in (curve.positions, curve.tangents)
-        )
-        phases[phase.name] = NominalPhase(positions, tuple(curve.knots[knots].tolist()), tangents)
-    path, speed = ((), ()) if law is None else (tuple(law.path.tolist()), tuple(law.speed.tolist()))
-    return NominalRequest(motion.robot.joint_names, phases, path, speed)
 
 
 def _read_start(robot: RobotModel, state: StateRequest, file: str) -> StartRequest:

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import turn_near
+from service.body.paths import cut_path
 from service.errors import RequestError
 from service.setup.prepare import PlanSetup
 
 MOST_OFF = 0.5  # of a start from the nearest waypoint of an earlier motion [rad, m]
-LEAST_WAYPOINTS = 3  # of what is left of it
 
 
 def begin_with(setup: PlanSetup, path: Float[np.ndarray, "T n"]) -> PlanSetup:
@@ -29,14 +29,14 @@ def begin_with(setup: PlanSetup, path: Float[np.ndarray, "T n"]) -> PlanSetup:
     if not len(path):
         return _note(setup, "the earlier result has no motion")
     path = path + (turn_near(setup.robot, path[0], setup.start) - path[0])
-    off = np.abs(path - setup.start).max(axis=1)
-    nearest = int(off.argmin())
-    if off[nearest] > MOST_OFF:
-        joint = setup.robot.joint_names[int(np.abs(path[nearest] - setup.start).argmax())]
-        return _note(setup, f"the start is {off[nearest]:.2f} off at {joint} from every waypoint of the earlier motion")
-    if len(path) - nearest < LEAST_WAYPOINTS:
-        return _note(setup, "the start is at the end of the earlier motion")
-    return replace(setup, known=path[nearest:])
+    off = np.abs(path - setup.start)
+    nearest = int(off.max(axis=1).argmin())
+    if off[nearest].max() > MOST_OFF:
+        joint = setup.robot.joint_names[int(off[nearest].argmax())]
+        words = f"the start is {off[nearest].max():.2f} off at {joint} from every waypoint of the earlier motion"
+        return _note(setup, words)
+    rest = cut_path(path, setup.start)
+    return _note(setup, "the start is at the end of the earlier motion") if rest is None else replace(setup, known=rest)
 
 
 def _note(setup: PlanSetup, why: str) -> PlanSetup:

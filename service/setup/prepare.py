@@ -16,7 +16,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.kept import Kept, make_kept_poses
-from service.demands import World, check_padding, compose_scene, find_padding
+from service.demands import World, check_padding, compose_scene
 from service.demands.contacts.stances import ContactStance
 from service.demands.kind import ResolvedStart, find_demand_part
 from service.errors import RequestError
@@ -82,11 +82,6 @@ class PlanSetup:
     def contacts(self) -> tuple[str, ...]:
         """Links planted at the start."""
         return tuple(self.soles)
-
-    @property
-    def padding(self) -> dict[str, float]:
-        """What links and pieces add to the demanded distance of their pairs, by name [m]."""
-        return find_padding(self.request.options.padding, self.scene)
 
 
 def prepare(

@@ -17,6 +17,7 @@ from costs.robot import RobotModel, shapes
 from costs.rotation import pose_matrix
 from costs.scene import ConvexPiece
 from service.demands.kind import find_demand_part
+from service.demands.rest.earlier_motion import find_beginning
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.request.scene import (
@@ -170,11 +171,8 @@ def _recall_start(
     """Return where the robot is in the scan: of an earlier plan's scan, where that plan began."""
     if resume is None or resume.is_rescanned or resume.nominal is None:
         return start
-    names = resume.nominal.joint_names
-    if not set(robot.joint_names) <= set(names) or not resume.nominal.has_curve:
-        return start
-    first = min(resume.nominal.phases.values(), key=lambda phase: phase.knots[0])
-    return np.array([first.positions[names.index(name)] for name in robot.joint_names])
+    began = find_beginning(robot, resume.nominal)
+    return start if began is None else began
 
 
 def _note_taken_out(

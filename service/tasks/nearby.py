@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from service.body.phases import PhaseSolver
-from service.body.poses import find_pose
+from service.body.poses import Seed, find_pose
 from service.body.sampling import free_coordinates
-from service.body.seeds import Seed
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 

@@ -21,11 +21,11 @@ from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
 from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
-from service.body.poses import PoseProblem, Poses, find_pose
-from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
+from service.body.poses import PoseProblem, Poses, Seed, find_pose, name_seeds, posture_guesses, random_guesses
 from service.body.starts import Way
-from service.body.task_plan import PlannedPhase, Solved, Stuck
+from service.body.task_plan import KeptCurve, PlannedPhase, Solved, Stuck
 from service.demands.phase import FrameMotion, TaskPhase
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.tasks.chain import PhaseMotion
 from service.tasks.contacts.held_pose import SAME_STATE, keep_sides
 from service.tasks.held_phase import HeldPhase
@@ -37,7 +37,6 @@ from service.tasks.held_tool import (
 )
 from service.tasks.hints import NOTHING, Hints, count_waypoints, give_no_hints
 from service.tasks.phase_terms import TORQUE_TOLERANCE, keep_contacts_and_frames, limit_torques, shrink
-from service.tasks.rest.earlier_motion import EarlierMotion
 
 MOST_VIAS = 4  # postures of a free phase, the nominal one among them
 OTHER_POSE = 0.3  # least difference of a joint between two poses that are tried [rad]
@@ -82,11 +81,11 @@ class PhaseCompiler:
     ) -> Iterator[Solved]:
         """Yield different poses to begin an anchor with; where none is found, the one that missed least.
 
-        Seeds are the nominal pose if there is one, ``at``, postures, and random configurations.
+        Seeds are where the earlier motion begins it, if there is one, ``at``, postures, and random configurations.
         """
         poses = Poses(self.pose_problem(step, spec, fraction=0.1), OTHER_POSE)
-        nominal = self.resample_nominal(spec)
-        first = self.list_seeds(at) if nominal is None else [(Way.KNOWN.value, nominal[0]), *self.list_seeds(at)]
+        earlier = self.resample_earlier(spec)
+        first = self.list_seeds(at) if earlier is None else [(Way.KNOWN.value, earlier[0]), *self.list_seeds(at)]
         yield from islice(poses.find(first), 1)
         guesses = random_guesses(self.solver.body, n_random, self.solver.seed)
         yield from poses.find(name_seeds("random", guesses))
@@ -97,10 +96,10 @@ class PhaseCompiler:
         """Return configurations from which a pose is solved: ``at``, then the robot's postures."""
         return [("at hand", at), *posture_guesses(self.solver.body)[1:]]
 
-    def resample_nominal(
+    def resample_earlier(
         self, spec: TaskPhase, ends: Mapping[int, Float[np.ndarray, "n"]] = MappingProxyType({})
     ) -> Float[np.ndarray, "T n"] | None:
-        """Return the nominal waypoints of a phase, as many as it has now, or None.
+        """Return the earlier waypoints of a phase, as many as it has now, or None.
 
         Where the phase moves the mechanism they are where the mechanism is now; what they are off at the given ``ends``
         (configuration by waypoint) is taken back along the phase.
@@ -202,12 +201,12 @@ class PhaseCompiler:
         values = spec.values(count)
         fixed = {} if is_anchor else {count - 1 if is_backwards else 0: q}
         fixed |= {} if last is None else {count - 1: last}
-        nominal = self.resample_nominal(spec, fixed or {0: q})
+        earlier = self.resample_earlier(spec, fixed or {0: q})
         held = HeldPhase(self, spec, fixed, values)
         led = self._lead_hand(held, q, last, is_anchor=is_anchor, is_backwards=is_backwards)
         paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {Way.LED: lambda: islice(led, 1)}
-        if nominal is not None:
-            paths[Way.KNOWN] = lambda: ((Way.KNOWN.value, nominal),)
+        if earlier is not None:
+            paths[Way.KNOWN] = lambda: ((Way.KNOWN.value, earlier),)
 
         def solve(solver: PhaseSolver, path: Path) -> Solved:
             return held.solve(solver, chain([path], (other for _, other in led)))
@@ -314,8 +313,8 @@ class PhaseCompiler:
     def search_free(self, spec: TaskPhase, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]) -> MotionSearch:
         """Return the search for the motion of a phase between two configurations."""
         count = self.count_waypoints(spec)
-        nominal = self.resample_nominal(spec, {0: first, count - 1: last})
-        known = () if nominal is None else ((Way.KNOWN.value, nominal),)
+        earlier = self.resample_earlier(spec, {0: first, count - 1: last})
+        known = () if earlier is None else ((Way.KNOWN.value, earlier),)
         postures = posture_guesses(self.solver.body)[1:MOST_VIAS]
         return MotionSearch(
             spec.name,
@@ -390,7 +389,7 @@ class PhaseCompiler:
             spec: the phase.
             ends: configuration by index of the first or the last waypoint.
         """
-        known = self.earlier.keep(spec.name)
+        known = KeptCurve.of(self.earlier, spec.name)
         if known is None:
             return None
         q = known.curve.positions.copy()

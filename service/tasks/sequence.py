@@ -18,15 +18,14 @@ from jaxtyping import Float
 from costs.robot import Mechanism, with_mechanism
 from service.body.effort import Effort
 from service.body.phases import PhaseSolver
-from service.body.poses import find_pose
-from service.body.seeds import Seed, name_seeds, random_guesses
+from service.body.poses import Seed, find_pose, name_seeds, random_guesses
 from service.body.task_plan import PlannedPhase, Solved, Stuck
 from service.demands.holds.pushes import add_pushes
 from service.demands.phase import TaskPhase, check_moves
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.tasks.chain import solve_phases
 from service.tasks.hints import Hints, find_anchor, give_no_hints
 from service.tasks.phase_compiler import PhaseCompiler
-from service.tasks.rest.earlier_motion import EarlierMotion
 
 QUICK_SEEDS = 2  # of a pose that is tried with little effort, besides random ones
 

@@ -227,7 +227,7 @@ def test_a_pose_on_known_places_keeps_the_centre_of_mass_off_the_edge_of_where_t
         return region.margin(pin.centerOfMass(robot.model, robot.model.createData(), pose.q)[:2])[0]
 
     held = find_margin()
-    monkeypatch.setattr("service.body.whole_body.RESERVE_WEIGHT", 1e-9)
+    monkeypatch.setattr("service.body.comfort.RESERVE_WEIGHT", 1e-9)
     assert held > find_margin() + 5e-3
 
 

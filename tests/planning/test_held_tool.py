@@ -11,14 +11,14 @@ from opened_door import compile_opening
 
 from costs.kinematics import locate_links
 from costs.stopping import Stopped, stops_when
+from service.body.comfort import RESERVE_M
 from service.body.loaded_regions import PlannedRegion
-from service.body.whole_body import RESERVE_M
 from service.demands.phase import TaskPhase
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.demands.stance import BALANCE_RESERVE
 from service.tasks.held_tool import INSIDE_RESERVE, INSIDE_SHARE, bring_tool, follow_in_balance, follow_tool
 from service.tasks.phase_compiler import PhaseCompiler
 from service.tasks.phase_terms import list_together
-from service.tasks.rest.earlier_motion import EarlierMotion
 from service.tasks.sequence import PhaseSequence
 from service.verify import HandLoad
 
@@ -255,7 +255,7 @@ def test_waypoints_between_equal_ones_of_an_earlier_motion_are_where_the_mechani
         known[:, compiler.columns] = (1.0 - shares) * ends[0] + shares * ends[1]
         again = replace(spec, first=ends[0], last=ends[1], joints={})
         sixth = replace(compiler, earlier=EarlierMotion({spec.name: known})).with_hints(turn_step=np.deg2rad(6.5))
-        q = sixth.resample_nominal(again)
+        q = sixth.resample_earlier(again)
         assert q is not None
         np.testing.assert_allclose(q[:, compiler.columns], np.linspace(*ends, 6), atol=1e-12)
         own = np.setdiff1d(np.arange(compiler.robot.n), compiler.columns)

@@ -14,7 +14,7 @@ from service.replay.rebuild import make_setup_demands
 from service.request.file import parse_request
 from service.result.result import Verdict
 from service.setup.prepare import prepare
-from service.verify import verify
+from service.verify import NO_SWAY, verify
 
 
 def pass_a_block(folder, **options):
@@ -35,6 +35,11 @@ def pass_a_block(folder, **options):
     )
 
 
+def measure_least(motion):
+    """Least clearance of a motion from which nothing but what touches is refused [m]."""
+    return verify(dataclasses.replace(motion, padding={}, sway=NO_SWAY)).min_clearance_m
+
+
 def test_link_and_obstacle_add_their_padding_and_the_certificate_proves_the_sum(tmp_path):
     request = pass_a_block(tmp_path, padding={"block": 0.03, "l2": 0.05})
     plain = plan(pass_a_block(tmp_path))
@@ -47,6 +52,14 @@ def test_link_and_obstacle_add_their_padding_and_the_certificate_proves_the_sum(
     held = hold_to_request(make_setup_demands(prepare(request)), plain.motion)
     assert "the record demands another padding than the request" in held.differences
     assert held.motion.padding == request.options.padding
+
+
+def test_the_sway_of_a_base_comes_on_top_of_padding(tmp_path):
+    padding = {"block": 0.03, "l2": 0.03}
+    swaying = plan(pass_a_block(tmp_path, padding=padding, sway_m=0.03))
+    assert swaying.verdict is Verdict.CERTIFIED, swaying.explanation
+    assert measure_least(swaying.motion) >= 0.09 - 1e-6
+    assert measure_least(plan(pass_a_block(tmp_path, padding=padding)).motion) < 0.09
 
 
 def test_a_goal_inside_the_padding_is_not_certified(tmp_path):

@@ -12,7 +12,7 @@ from costs.scene import Scene
 from service.body.holds import largest_hold_error
 from service.body.kept import make_kept_poses
 from service.body.paths import straight_path
-from service.body.seeds import BASE_SPREAD, JOINT_SPREAD, random_guesses
+from service.body.poses import BASE_SPREAD, JOINT_SPREAD, random_guesses
 from service.body.whole_body import Aims, WholeBody
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest

@@ -35,7 +35,7 @@ from service.demands.mechanism.demand import GivenMechanismDemand
 from service.demands.mechanism.given import read_given_mechanism
 from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.recorded_task import MechanismDemand
-from service.demands.rest import RestTask
+from service.demands.rest.phases import RestTask
 from service.demands.task_demand import World
 from service.errors import RequestError, ResultError
 from service.planner import plan

@@ -15,7 +15,8 @@ from jaxtyping import Float
 from planar_arm import write_planar_arm
 
 from service import ReachSession
-from service.body.paths import bend_path
+from service.body.paths import bend_path, cut_path
+from service.demands.rest.earlier_motion import find_beginning, read_earlier_motion, record_motion
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.state import read_state, write_state
@@ -62,6 +63,38 @@ def test_a_bent_path_has_the_new_ends_and_one_with_its_own_ends_is_itself(
     assert np.allclose(bend_path(path, path[0], path[-1]), path)
     most = max(np.abs(first - path[0]).max(), np.abs(last - path[-1]).max())
     assert np.abs(bent - path).max() <= most + 1e-9
+
+
+@settings(max_examples=50, deadline=None)
+@given(rows, arrays(float, 2, elements=numbers))
+def test_a_cut_path_begins_with_the_nearest_waypoint_and_has_something_between_its_ends(
+    path: Float[np.ndarray, "T 2"], at: Float[np.ndarray, "2"]
+) -> None:
+    off = np.abs(path - at).max(axis=1)
+    cut = cut_path(path, at)
+    if cut is None:
+        assert off[: len(path) - 2].min(initial=np.inf) >= off.min()
+        return
+    assert len(cut) >= 3
+    assert np.array_equal(cut, path[-len(cut) :])
+    assert np.abs(cut[0] - at).max() == off.min()
+
+
+def test_a_recorded_motion_is_read_as_it_was(earlier: PlanResult) -> None:
+    motion = earlier.motion
+    assert motion is not None
+    assert motion.law is not None
+    record = record_motion(motion)
+    known = read_earlier_motion(motion.robot, record, np.zeros(3))
+    (phase,) = motion.phases
+    curve, at = known.curves[phase.name], np.linspace(phase.first, phase.last, 20)
+    assert np.allclose(curve(at), motion.curve(at), atol=1e-6)
+    assert known.law is not None
+    assert np.allclose(known.law.speed, motion.law.speed)
+    beginning = find_beginning(motion.robot, record)
+    assert beginning is not None
+    assert np.allclose(beginning, motion.curve.positions[0], atol=1e-7)
+    assert not read_earlier_motion(motion.robot, replace(record, joint_names=("j0", "j1", "j9")), np.zeros(3)).ways
 
 
 def test_the_search_begins_with_the_earlier_motion_between_new_ends(

@@ -235,6 +235,14 @@ def test_the_optimum_of_a_small_problem_is_that_of_its_own_costs_alone() -> None
     np.testing.assert_allclose(waypoints(result)[:, 0], [0, middle / 2, middle, (1 + middle) / 2, 1], atol=1e-4)
 
 
+def test_a_demanded_clearance_is_certified_for_problem_files_too() -> None:
+    data = document("shoulder_yaw", costs=[term("joint_vel", coeffs=[1])], constraints=[term("joint", vals=[0.3])])
+    result = of_arm(data, options={"clearance_m": 0.01})
+    assert result.verdict is Verdict.CERTIFIED
+    assert result.motion is not None
+    assert result.motion.clearance_m == 0.01
+
+
 def test_an_unknown_pair_is_refused_by_its_path() -> None:
     pair = {"link": "hand", "pair": ["table_top", "tabel_top"], "coeffs": [1], "dist_pen": [0.01]}
     collision = term("collision", coeffs=[1], dist_pen=[0.02], pairs=[pair])

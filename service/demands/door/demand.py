@@ -31,7 +31,7 @@ from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand, list_robot_hands
 from service.demands.holds.door_edge import MOST_SLANT, hold_edge
 from service.demands.phase import AXIS, DEPTH_RESERVE, TaskPhase
-from service.demands.rest import RestTask, check_travel, start_mechanism
+from service.demands.rest.phases import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.resume import HandleChoice, LeafChoice, ResumeRequest
 from service.request.tasks.door import LEAF_JOINT, DoorRequest, HandleRequest

@@ -17,7 +17,7 @@ from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.mechanism.settling import keep_aside, settle_handle
 from service.demands.phase import TaskPhase
-from service.demands.rest import RestTask, check_travel, start_mechanism
+from service.demands.rest.phases import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
 from service.request.resume import HoldChoice, ResumeRequest

@@ -14,7 +14,7 @@ from costs.robot import Mechanism
 from service.demands.figures.travel import measure_turn
 from service.demands.hands import HANDS, Hand
 from service.demands.phase import FrameMotion, TaskPhase
-from service.demands.rest import RestTask, check_travel, start_mechanism
+from service.demands.rest.phases import RestTask, check_travel, start_mechanism
 from service.demands.valve.strokes import (
     TURN,
     TurnChoice,

@@ -11,7 +11,7 @@ import numpy as np
 
 from costs.robot import RobotModel
 from costs.stopping import never, poll, stops_when
-from service.demands import Demands, hold_to_request
+from service.demands import Demands, Distances, hold_to_request
 from service.errors import RequestError
 from service.replay.exchange.interpolation import (
     READ_AS,
@@ -35,7 +35,6 @@ from service.verify import (
     Motion,
     Phase,
     Status,
-    Sway,
     VerifyError,
     VerifySettings,
     Where,
@@ -195,6 +194,7 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
     if times is None and kind in ("cubic", "quintic"):
         raise RequestError(f"{source}: has velocities and no times; {kind} needs both")
     s = times if times is not None and (timed or is_by_time) else np.arange(float(len(points.positions)))
+    distances = Distances.of(setup.request.options, setup.scene)
     curve = make_curve(s, points.positions, points.velocities, points.accelerations, kind)
     return Motion(
         robot=setup.robot,
@@ -203,9 +203,9 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         law=make_even_law(s) if timed else None,
         phases=(Phase(PHASE, float(s[0]), float(s[-1])),),
         waived=list_waived_checks(is_timed=timed, is_balanced=setup.robot.can_balance),
-        clearance_m=setup.request.options.clearance_m,
-        sway=Sway(setup.request.options.sway_m, setup.request.options.sway_deg),
-        padding=setup.padding,
+        clearance_m=distances.clearance_m,
+        sway=distances.sway,
+        padding=distances.padding,
         jerk_scale=setup.request.options.jerk_scale,
         tool_speed_m_s=setup.request.options.tool_speed_m_s,
         pace=setup.request.options.pace,

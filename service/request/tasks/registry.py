@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from importlib.metadata import entry_points
 from typing import TypeVar
 
 from pydantic.dataclasses import dataclass
 
+from costs.entry_points import load_entry_points
 from service.errors import ServiceError
 from service.request.fields import SECTION, PlainData, Section, require_exactly_one
 from service.request.tasks.contacts import ContactsRequest
@@ -56,19 +55,9 @@ def _find_added() -> Iterator[TaskKind]:
         TaskKindError: a package fails, gives something else, or takes a name that is taken.
     """
     taken = {kind.name for kind in (*SHIPPED, REACH)}
-    for entry in sorted(entry_points(group=ENTRY_POINTS), key=lambda entry: entry.name):
-        where = f"entry point {entry.name!r} of {ENTRY_POINTS} ({entry.value})"
-        try:
-            kind = entry.load()
-        except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            words = f"{where}: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
-            raise TaskKindError(words) from error
-        if not isinstance(kind, TaskKind) or kind.name != entry.name or not kind.name.isidentifier():
-            raise TaskKindError(f"{where}: {kind!r}; expected a TaskKind named {entry.name!r}")
-        if kind.name in taken:
-            raise TaskKindError(f"{where}: a kind {kind.name!r} exists already; expected another name")
-        taken.add(kind.name)
+    for name, kind in load_entry_points(ENTRY_POINTS, TaskKind, taken, TaskKindError):
+        if kind.name != name or not name.isidentifier():
+            raise TaskKindError(f"entry point {name!r} of {ENTRY_POINTS}: {kind!r}; expected a TaskKind named {name!r}")
         yield kind
 
 

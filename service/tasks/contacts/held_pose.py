@@ -18,8 +18,7 @@ from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_eq
 from service.body.facing import keep_facing
 from service.body.holds import project_onto_holds
 from service.body.phases import PhaseSolver
-from service.body.poses import PoseProblem, find_pose
-from service.body.seeds import name_seeds
+from service.body.poses import PoseProblem, find_pose, name_seeds
 from service.body.whole_body import FOOT_TOLERANCE, WholeBody
 from service.demands.contacts.stances import StanceContact
 from service.verify import find_normals

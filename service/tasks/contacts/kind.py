@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
+from service.demands.rest.earlier_motion import read_earlier_motion
 from service.request.schema import PlanRequest
 from service.request.tasks.contacts import ContactsRequest
 from service.setup.prepare import PlanSetup
@@ -17,7 +18,6 @@ from service.tasks.contacts.displaced import displace_contacts
 from service.tasks.contacts.known_motion import make_known_motion
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.kind import PlanPart
-from service.tasks.rest.earlier_motion import read_earlier_motion
 
 
 class ContactsPlanPart(PlanPart[ContactsRequest]):

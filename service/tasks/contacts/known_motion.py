@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot import RobotModel
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.request.tasks.contacts import ContactsRequest
 from service.start.configuration import make_posture
-from service.tasks.rest.earlier_motion import EarlierMotion
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,8 @@ from costs.terms import JointTarget
 from scopt import Cost
 from service.body.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver
-from service.body.poses import PoseProblem, find_pose
+from service.body.poses import PoseProblem, find_pose, posture_guesses
 from service.body.sampling import free_coordinates
-from service.body.seeds import posture_guesses
 from service.body.task_plan import Stuck
 from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import ContactChange, StanceContact, make_contact_allowances

@@ -12,11 +12,10 @@ from jaxtyping import Float
 from costs.robot import BASE_NAMES
 from service.body.holds import project_onto_holds
 from service.body.ladder import MotionSearch, Path, find_motion
-from service.body.paths import path_via
+from service.body.paths import bend_path, cut_path, path_via
 from service.body.phases import PhaseSolver
-from service.body.poses import find_pose
+from service.body.poses import Seed, find_pose, posture_guesses
 from service.body.sampling import free_coordinates
-from service.body.seeds import Seed, posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import PlannedPhase, Stuck
 from service.body.whole_body import WholeBody
@@ -28,7 +27,6 @@ from service.tasks.contacts.held_pose import SAME_STATE, HeldPose
 from service.tasks.contacts.pose_finder import DEPTH_RESERVE, POSE_RESERVE, MissingPose, PoseFinder, StuckError
 from service.tasks.hints import PhaseHints
 from service.tasks.phase_compiler import PhaseCompiler
-from service.tasks.rest.earlier_motion import lead_way
 
 SHIFT_WAYPOINTS, LINE_WAYPOINTS, SWING_WAYPOINTS = 8, 4, 20
 MOST_VIAS = 3  # postures of a swing, the nominal one among them
@@ -190,7 +188,7 @@ class Walker:
         """Return the search for a motion of limbs that carry nothing, perhaps around something."""
         body, first = search.solver.body, search.first
         known = self.finder.guesses.earlier.curves.get(spec.name)
-        led = None if known is None else lead_way(known.positions, first, last)
+        rest = None if known is None else cut_path(known.positions, first)
         guide = replace(body, nominal=first)
         corners = (
             (name, path_via(first, q, last, SWING_WAYPOINTS)) for name, q in self._find_corners(spec, first, last)
@@ -198,8 +196,8 @@ class Walker:
         paths: dict[Way, Callable[[], Iterable[tuple[str, Path]]]] = {
             Way.CORNERS: lambda: ((name, search.fit(path)) for name, path in corners)
         }
-        if led is not None:
-            paths[Way.LED] = lambda: ((Way.KNOWN.value, search.fit(led)),)
+        if rest is not None:
+            paths[Way.LED] = lambda: ((Way.KNOWN.value, search.fit(bend_path(rest, first, last))),)
         return replace(
             search,
             paths=paths,

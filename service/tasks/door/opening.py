@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
-from service.body.seeds import Seed
+from service.body.poses import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
 from service.demands.door.demand import measure_peg
 from service.demands.door.door import Door

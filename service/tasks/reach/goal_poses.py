@@ -14,8 +14,7 @@ from service.body.effort import Effort
 from service.body.holds import find_prescribed
 from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
 from service.body.phases import PhaseSolver
-from service.body.poses import Poses
-from service.body.seeds import Seed, name_seeds, posture_guesses, random_guesses
+from service.body.poses import Poses, Seed, name_seeds, posture_guesses, random_guesses
 from service.body.starts import End
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody

@@ -20,9 +20,9 @@ from costs.terms import FramePose
 from service.body.holds import POSITION, Hold, linearize_holds
 from service.body.task_plan import KeptCurve, TaskPlan
 from service.demands.phase import FrameMotion, TaskPhase
+from service.demands.rest.earlier_motion import EarlierMotion
 from service.tasks.handling import list_arm_joints
 from service.tasks.held_tool import aim_tool, make_hold, slide_tool
-from service.tasks.rest.earlier_motion import EarlierMotion
 from service.tasks.sequence import PhaseSequence
 
 MOST_M, MOST_RAD = 0.015, np.deg2rad(5.0)  # by which a hand yields [m, rad]
@@ -110,7 +110,7 @@ def keep_motion(sequence: PhaseSequence, earlier: EarlierMotion) -> tuple[TaskPl
     phases = []
     for phase, (a, b) in zip(sequence.take([displaced.positions[a : b + 1] for a, b in borders]), borders, strict=True):
         own = displaced.cut(slice(a, b + 1))
-        known = earlier.keep(phase.name)
+        known = KeptCurve.of(earlier, phase.name)
         if earlier.law is not None and (known is None or known.law is None):
             raise CannotFollowError(f"the earlier time law does not lead from rest to rest through '{phase.name}'")
         phases.append(replace(phase, kept=KeptCurve(own, None if known is None else known.law)))

@@ -13,15 +13,15 @@ from costs.kinematics import locate_links
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.figures.displacement import measure_displacement
 from service.demands.phase import AXIS, FrameMotion, TaskPhase
-from service.demands.rest import TAKE_HOLD, Beginning, RestTask, can_reach, find_index, list_rest_phases
+from service.demands.rest.displacement import measure_displacement
+from service.demands.rest.earlier_motion import EarlierMotion, read_earlier_motion
+from service.demands.rest.phases import TAKE_HOLD, Beginning, RestTask, can_reach, find_index, list_rest_phases
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.tasks.handling import find_collisions
 from service.tasks.hints import Hints, PhaseHints
 from service.tasks.rest.compliance import MOST_M, MOST_RAD, CannotFollowError, keep_motion
-from service.tasks.rest.earlier_motion import EarlierMotion, read_earlier_motion
 from service.tasks.sequence import PhaseSequence
 
 AT_PLACE = 5e-4  # of a hand that needs no phase that takes hold [m]

@@ -172,8 +172,7 @@ def find_stance(
     n_ranked, is_complete = 0, False
     found: tuple[StanceTask, tuple[str, ...]] | str = "the scan was not read in time"
     if not setup.is_stopped:
-        options = request.options
-        aims = Aims(options.margin_m, options.balance_margin_m)
+        aims = Aims.of(request.options, setup.robot, setup.scene)
         body = WholeBody.standing(setup.robot, setup.scene, setup.start, setup.contacts, aims)
         found = part.find_stance_task(setup.request.section, setup, body)  # with its files read
     if isinstance(found, str):
@@ -271,7 +270,7 @@ class _Examiner:
             return refuse(*error.problems)
         if check.overlaps or check.unresolved:
             return refuse(*check.notes, *check.unresolved)
-        aims = Aims(options.margin_m, options.balance_margin_m)
+        aims = Aims.of(options, setup.robot, setup.scene)
         plain = WholeBody.standing(setup.robot, setup.scene, start, tuple(soles), aims)
         joints = self.task.mechanism
         body = replace(plain.with_robot(self.robot, np.concatenate([start, joints.start])), releases=joints.releases)
@@ -279,7 +278,7 @@ class _Examiner:
         if inside:
             return refuse(*inside)
         clearance = self._measure_clearance(body)
-        if clearance < options.margin_m:
+        if clearance < aims.margin:
             return refuse(f"only {1e3 * clearance:.0f} mm from the surroundings at rest")
         met = tuple(self.task.find_in_the_way(replace(body, scene=Scene(()))))
         if met:

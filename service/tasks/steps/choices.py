@@ -14,7 +14,7 @@ from costs.robot import RobotModel
 from costs.terms import FramePose
 from service.body.holds import Hold
 from service.body.inverse_kinematics import solve_holds
-from service.body.seeds import posture_guesses
+from service.body.poses import posture_guesses
 from service.body.whole_body import WholeBody
 from service.demands.grasping.grasps import Grasp, close_on, generate_poses, list_grasps
 from service.demands.grasping.gripper import Gripper

@@ -12,11 +12,10 @@ from jaxtyping import Float
 
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, list_motions
 from service.body.phases import PhaseSolver, report_solutions
-from service.body.poses import find_pose
-from service.body.seeds import posture_guesses
+from service.body.poses import find_pose, posture_guesses
 from service.body.starts import Way
 from service.body.task_plan import LEAST_CLEARANCE, PlannedPhase, Solved, Stuck, TaskPlan
-from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
 from service.errors import RequestError, would_do
 from service.explain.distance import find_out_of_reach
@@ -64,7 +63,7 @@ def fit_body(body: WholeBody, program: Program) -> WholeBody:
     ]
     return replace(
         body,
-        aims=Aims(APART, body.aims.balance_margin),
+        aims=replace(body.aims, margin=APART),
         polygon=body.polygon if program.is_balanced else None,
         region=body.region if program.is_balanced else None,
         has_default_costs=False,

@@ -1,4 +1,4 @@
-"""The motion of an earlier plan, as a request records it, in the joints of a robot."""
+"""The motion of an earlier plan: what a request records of it, and what it is in the joints of a robot."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
-from service.body.task_plan import KeptCurve
-from service.request.resume import NominalRequest
+from service.request.resume import NominalPhase, NominalRequest
+from service.verify import Motion
 
-LEAST_WAYPOINTS = 4  # of the rest of a way, so that something between its ends is left
+DIGITS = 7  # of the positions and tangents of a record
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,18 @@ class EarlierMotion:
     curves: Mapping[str, Curve] = field(default_factory=dict)
     law: TimeLaw | None = None
 
-    def keep(self, phase: str) -> KeptCurve | None:
-        """Return a phase's curve, with its own part of the time law where that leads from rest to rest; or None."""
-        curve = self.curves.get(phase)
-        if curve is None:
-            return None
-        law = None if self.law is None else self.law.cut(float(curve.knots[0]), float(curve.knots[-1]))
-        return KeptCurve(curve, law, is_settled=law is not None)
+
+def record_motion(motion: Motion) -> NominalRequest:
+    """Return the section of a request that records a motion: its curve by phase, and its time law."""
+    curve, law, phases = motion.curve, motion.law, {}
+    for phase in motion.phases:
+        knots = curve.find_knots(phase.first, phase.last)
+        positions, tangents = (
+            tuple(np.round(values[knots], DIGITS).ravel().tolist()) for values in (curve.positions, curve.tangents)
+        )
+        phases[phase.name] = NominalPhase(positions, tuple(curve.knots[knots].tolist()), tangents)
+    path, speed = ((), ()) if law is None else (tuple(law.path.tolist()), tuple(law.speed.tolist()))
+    return NominalRequest(motion.robot.joint_names, phases, path, speed)
 
 
 def read_earlier_motion(
@@ -65,17 +70,13 @@ def read_earlier_motion(
     return EarlierMotion(ways, curves, law)
 
 
-def lead_way(
-    way: Float[np.ndarray, "K n"], first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "T n"] | None:
-    """Return the rest of a way from the waypoint nearest to ``first`` on, led to other ends; None where little is left.
+def find_beginning(robot: RobotModel, recorded: NominalRequest) -> Float[np.ndarray, "n"] | None:
+    """Return the configuration in which an earlier motion begins; None where its order or a joint is not recorded.
 
-    The displacement of either end fades along the way.
+    The record may have further joints, such as those of a mechanism.
     """
-    begin = int(np.abs(way[:-1] - first).max(axis=1).argmin())
-    rest = way[begin:]
-    if len(rest) < LEAST_WAYPOINTS:
+    names = recorded.joint_names
+    if not recorded.has_curve or not set(robot.joint_names) <= set(names):
         return None
-    steps = np.linalg.norm(np.diff(rest, axis=0), axis=1)
-    share = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
-    return np.asarray(rest + np.outer(1.0 - share, first - rest[0]) + np.outer(share, last - rest[-1]))
+    first = min(recorded.phases.values(), key=lambda phase: phase.knots[0])
+    return np.array([first.positions[names.index(name)] for name in robot.joint_names])

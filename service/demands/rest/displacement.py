@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from costs.curve import Curve
 from service.demands.phase import TaskPhase
+from service.demands.rest.earlier_motion import read_earlier_motion
 from service.request.resume import NominalRequest
 from service.verify import Motion, trace_frame
 
@@ -27,17 +27,15 @@ def measure_displacement(motion: Motion, specs: Sequence[TaskPhase], earlier: No
         specs: phases of the task, each with its hand.
         earlier: the earlier motion, with knots and tangents.
     """
-    if set(earlier.joint_names) != set(motion.robot.joint_names):
-        return {}
+    curves = read_earlier_motion(motion.robot, earlier, np.zeros(motion.robot.n)).curves
     distance, turn = 0.0, 0.0
     for spec in specs:
         phase = next((phase for phase in motion.phases if phase.name == spec.name), None)
-        before = earlier.phases.get(spec.name)
+        curve = curves.get(spec.name)
         if spec.hand is None:
             continue
-        if phase is None or before is None or len(before.knots) < 2:
+        if phase is None or curve is None:
             return {}
-        curve = _read_curve(earlier, spec.name, motion.robot.joint_names)
         s = _sample(motion.curve.knots[motion.curve.find_knots(phase.first, phase.last)])
         share = (s - phase.first) / (phase.last - phase.first)
         at = curve.knots[0] + share * (curve.knots[-1] - curve.knots[0])
@@ -47,15 +45,6 @@ def measure_displacement(motion: Motion, specs: Sequence[TaskPhase], earlier: No
         distance = max(distance, float(np.linalg.norm(p1 - p0, axis=1).max()))
         turn = max(turn, float(np.arccos(np.clip(cosine, -1.0, 1.0)).max()))
     return {DISPLACED_MM: 1e3 * distance, DISPLACED_DEG: float(np.rad2deg(turn))}
-
-
-def _read_curve(earlier: NominalRequest, phase: str, joint_names: Sequence[str]) -> Curve:
-    """Return the curve of a phase in the order of a robot's joints."""
-    record = earlier.phases[phase]
-    columns = [earlier.joint_names.index(name) for name in joint_names]
-    shape = (len(record.knots), len(columns))
-    values = (np.reshape(part, shape)[:, columns] for part in (record.positions, record.tangents))
-    return Curve(np.array(record.knots), *values)
 
 
 def _sample(knots: Float[np.ndarray, "K"]) -> Float[np.ndarray, "S"]:
