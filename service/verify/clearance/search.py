@@ -101,7 +101,9 @@ class Examination:
         table, proof = self.table.without_left_out(), self.proof
         n = len(table.mover)
         own = ClearanceProof(
-            *(bounds.take(bounds.pair < n) for bounds in (proof.proven, proof.unproven, proof.abandoned)),
+            proof.proven.take(proof.proven.pair < n),
+            proof.unproven.take(proof.unproven.pair < n),
+            proof.abandoned.take(proof.abandoned.pair < n),
             {key: sample for key, sample in proof.refuted.items() if key[0] < n},
             proof.deepest,
             proof.examined.take(proof.examined.pair < n),

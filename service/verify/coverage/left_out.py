@@ -181,7 +181,7 @@ class _Samples:
         of_link: dict[str, list[int]] = {}
         for k, solid in enumerate(self.solids):
             of_link.setdefault(solid.link, []).append(k)
-        both = [(number, i, j) for number, (a, b) in enumerate(pairs) for i, j in product(of_link[a], of_link[b])]
+        both = [(n, i, j) for n, (a, b) in enumerate(pairs) for i, j in product(of_link[a], of_link[b])]
         number, first, second = np.array(both, dtype=int).reshape(-1, 3).T
         between = self.centres[:, first] - self.centres[:, second]
         reach = self.radii[first] + self.radii[second]
