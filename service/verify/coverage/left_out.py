@@ -182,7 +182,7 @@ class _Samples:
         for k, solid in enumerate(self.solids):
             of_link.setdefault(solid.link, []).append(k)
         both = [(n, i, j) for n, (a, b) in enumerate(pairs) for i, j in product(of_link[a], of_link[b])]
-        number, first, second = np.array(both, dtype=int).reshape(-1, 3).T
+        number, first, second = np.array(both, dtype=int).reshape(-1, 3).T  # of the links, and of their bodies
         between = self.centres[:, first] - self.centres[:, second]
         reach = self.radii[first] + self.radii[second]
         near, k = np.nonzero(np.einsum("skx,skx->sk", between, between) < reach * reach)
