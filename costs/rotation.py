@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 
 def skew(v: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3 3"]:
@@ -130,6 +132,28 @@ def pose_matrix(
 ) -> Float[np.ndarray, "4 4"]:
     """Return the (4, 4) pose of a position [m] and a quaternion (w, x, y, z)."""
     pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix()
+    pose[:3, :3] = quaternion_matrix(quaternion_wxyz)
     pose[:3, 3] = position
     return pose
+
+
+def quaternion_matrix(quaternion_wxyz: Sequence[float] | Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation matrix of a quaternion (w, x, y, z) of any length but zero.
+
+    The numbers are those of scipy's ``Rotation``, to the last bit; scenes are hashed with them.
+
+    Raises:
+        ValueError: the quaternion has no length.
+    """
+    w, x, y, z = (float(part) for part in quaternion_wxyz)
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not length > 0.0:
+        raise ValueError("a quaternion of length 0 is no rotation")
+    w, x, y, z = w / length, x / length, y / length, z / length
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    xy, zw, xz, yw, yz, xw = x * y, z * w, x * z, y * w, y * z, x * w
+    return np.array([
+        [xx - yy - zz + ww, 2.0 * (xy - zw), 2.0 * (xz + yw)],
+        [2.0 * (xy + zw), -xx + yy - zz + ww, 2.0 * (yz - xw)],
+        [2.0 * (xz - yw), 2.0 * (yz + xw), -xx - yy + zz + ww],
+    ])  # fmt: skip

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 Compressed = TypeVar("Compressed", sparse.csr_array, sparse.csc_array)
@@ -40,10 +40,19 @@ class AffineRows:
         stored = jacobian.data[first:last], jacobian.indices[first:last], jacobian.indptr[start : stop + 1] - first
         return AffineRows(self.value[start:stop], store_rows(stored, (stop - start, jacobian.shape[1])))
 
+    def select_rows(self, these: Bool[np.ndarray, "m"]) -> AffineRows:
+        """Return the rows that a mask chooses, in their order."""
+        jacobian, counts = self.jacobian, np.diff(self.jacobian.indptr)
+        indptr = np.zeros(int(np.count_nonzero(these)) + 1, dtype=jacobian.indptr.dtype)
+        np.cumsum(counts[these], out=indptr[1:])
+        stored = np.repeat(these, counts)
+        parts = jacobian.data[stored], jacobian.indices[stored], indptr
+        return AffineRows(self.value[these], store_rows(parts, (len(indptr) - 1, jacobian.shape[1])))
+
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
         """Return no rows."""
-        return AffineRows(np.zeros(0), sparse.csr_array((0, n_variables)))
+        return AffineRows(np.zeros(0), _make_empty_rows(0, n_variables))
 
     @staticmethod
     def stack(parts: Sequence[AffineRows]) -> AffineRows:
@@ -119,6 +128,13 @@ def store_columns(parts: Parts, shape: tuple[int, int]) -> sparse.csc_array:
     return _fill(_make_empty_columns(*shape), parts)
 
 
+def store_matrix(columns: sparse.csc_array) -> sparse.csc_matrix:
+    """Return the same entries, not copied, as the type that some solvers expect."""
+    made = copy.copy(_make_empty_matrix(*columns.shape))
+    made.data, made.indices, made.indptr = columns.data, columns.indices, columns.indptr
+    return made
+
+
 def _fill(empty: Compressed, parts: Parts) -> Compressed:
     data, indices, indptr = parts
     if indices.dtype != indptr.dtype:  # scipy's loops need one type
@@ -136,3 +152,8 @@ def _make_empty_rows(n_rows: int, n_columns: int) -> sparse.csr_array:
 @lru_cache(maxsize=1024)
 def _make_empty_columns(n_rows: int, n_columns: int) -> sparse.csc_array:
     return sparse.csc_array((n_rows, n_columns))
+
+
+@lru_cache(maxsize=1024)
+def _make_empty_matrix(n_rows: int, n_columns: int) -> sparse.csc_matrix:
+    return sparse.csc_matrix((n_rows, n_columns))

@@ -200,8 +200,7 @@ def drop_idle_rows(model: ConvexModel, lower: Float[np.ndarray, "N"], upper: Flo
 
 
 def _select_rows(rows: WeightedRows, these: Bool[np.ndarray, "m"]) -> WeightedRows:
-    at = np.flatnonzero(these)
-    return WeightedRows(AffineRows(rows.rows.value[at], rows.rows.jacobian[at]), rows.weight[at])
+    return WeightedRows(rows.rows.select_rows(these), rows.weight[these])
 
 
 def _make_equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse.csc_array, Float[np.ndarray, "Q"]]:
@@ -244,7 +243,7 @@ def _spread(hessian: sparse.csc_array, position: Int[np.ndarray, "F"], total: in
     indptr[position + 1] = np.diff(hessian.indptr)
     np.cumsum(indptr, out=indptr)
     indices = position[hessian.indices].astype(np.int32)
-    return store_columns((hessian.data, indices, indptr), (total, total))
+    return store_columns((hessian.data.copy(), indices, indptr), (total, total))  # solvers take what may be written
 
 
 def _make_rows(
@@ -266,4 +265,17 @@ def _make_rows(
     row = row_at[np.concatenate([row[keep], np.arange(len(row_at))])]
     col = np.concatenate([col[keep], slack_of_row])
     data = np.concatenate([data[keep], np.full(len(row_at), -1.0)])
-    return sparse.csc_array((data, (row, col)), shape=(len(row_at), total))
+    return _sort_columns(data, row, col, (len(row_at), total))
+
+
+def _sort_columns(
+    data: Float[np.ndarray, "E"], row: Int[np.ndarray, "E"], column: Int[np.ndarray, "E"], shape: tuple[int, int]
+) -> sparse.csc_array:
+    """Return the array of these entries, column by column with rising rows; those at the same place are added."""
+    at = column * shape[0] + row
+    order = np.argsort(at, kind="stable")
+    if len(at) and not np.diff(at[order]).all():
+        return sparse.csc_array((data, (row, column)), shape=shape)
+    indptr = np.zeros(shape[1] + 1, dtype=np.int32)
+    np.cumsum(np.bincount(column, minlength=shape[1]), out=indptr[1:])
+    return store_columns((data[order], row[order].astype(np.int32), indptr), shape)

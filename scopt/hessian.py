@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool
 from scipy import sparse
 
-from scopt.affine import WeightedRows, store_rows
+from scopt.affine import WeightedRows, store_columns, store_rows
+
+_KEPT = 16  # products: of some shapes of solves
 
 
 @dataclass
@@ -45,12 +48,29 @@ class HessianSum:
 def make_hessian(squared: WeightedRows, is_free: Bool[np.ndarray, "N"]) -> sparse.csc_array:
     """Return ``2 J^T W J`` of squared rows in the free variables, with sorted indices."""
     jacobian = squared.rows.jacobian
-    weight = np.repeat(2.0 * squared.weight, np.diff(jacobian.indptr))
-    weighted = store_rows((jacobian.data * weight, jacobian.indices, jacobian.indptr), jacobian.shape)
-    full = sparse.csc_array(jacobian.T @ weighted)
-    free = full if is_free.all() else sparse.csc_array(full[:, is_free][is_free])
-    free.sort_indices()
-    return free
+    counts, stays = np.diff(jacobian.indptr), is_free[jacobian.indices]
+    column = np.cumsum(is_free, dtype=np.int32) - 1
+    of_row = np.repeat(np.arange(len(counts), dtype=np.int32), counts)[stays]
+    indptr = np.searchsorted(of_row, np.arange(len(counts) + 1)).astype(np.int32)
+    parts = jacobian.data[stays], column[jacobian.indices[stays]].astype(np.int32), indptr
+    weight = 2.0 * squared.weight[of_row] * parts[0]
+    return _square(int(np.count_nonzero(is_free)), *(part.tobytes() for part in (weight, *parts)))
+
+
+@lru_cache(maxsize=_KEPT)
+def _square(n_columns: int, weighted: bytes, data: bytes, indices: bytes, indptr: bytes) -> sparse.csc_array:
+    """Return ``J^T (W J)``, read-only, of the entries of J and of W J, which stand at the same places of rows.
+
+    The terms of joint positions are the same in all solves of a shape: equal entries give the same object.
+    """
+    at = np.frombuffer(indices, dtype=np.int32), np.frombuffer(indptr, dtype=np.int32)
+    n_rows = len(at[1]) - 1
+    transposed = store_columns((np.frombuffer(data), *at), (n_columns, n_rows))
+    product = sparse.csc_array(transposed @ store_rows((np.frombuffer(weighted), *at), (n_rows, n_columns)))
+    product.sort_indices()
+    for part in (product.data, product.indices, product.indptr):
+        part.flags.writeable = False
+    return product
 
 
 def _is_among(part: WeightedRows, others: Sequence[WeightedRows]) -> bool:

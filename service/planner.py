@@ -50,9 +50,9 @@ MAX_REPAIRS = 3
 GRACE_S = 0.2  # allowed after the time limit to make the motion of the best attempt
 # An explanation may take as long as the search took, within these limits.
 EXPLAIN_LEAST_S, EXPLAIN_MOST_S = 10.0, 60.0
-# Of a motion that the optimiser calls infeasible: one that keeps clear is proven with far fewer intervals, and one that
+# Of a motion that the optimiser calls infeasible: one that keeps clear is proven with few, long intervals, and one that
 # grazes something would take them all before the search goes on.
-CANDIDATE = VerifySettings(max_intervals=6_000)
+CANDIDATE = VerifySettings(max_halvings=6, max_intervals=6_000)
 VERDICT_OF_INTERRUPT = {
     SolveStatus.TIME_LIMIT: (Verdict.TIME_LIMIT, "the {limit} was reached during '{step}'"),
     SolveStatus.CANCELLED: (Verdict.CANCELLED, "cancelled during '{step}'"),

@@ -75,9 +75,15 @@ class SweptCollisionChecker:
 
     def __call__(self, kinematics: Kinematics) -> Contacts:
         """Find the contacts of all intervals, or of the single pose if there is one waypoint."""
-        n_waypoints = kinematics.n_waypoints
-        first = np.arange(max(n_waypoints - 1, 1))
-        second = np.minimum(first + 1, n_waypoints - 1)
+        first = np.arange(max(kinematics.n_waypoints - 1, 1))
+        return self._find(kinematics, first, np.minimum(first + 1, kinematics.n_waypoints - 1))
+
+    def at_poses(self, kinematics: Kinematics) -> Contacts:
+        """Find the contacts of all waypoints as single poses."""
+        each = np.arange(kinematics.n_waypoints)
+        return self._find(kinematics, each, each)
+
+    def _find(self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]) -> Contacts:
         world = self._bodies.in_world(kinematics)
         return Contacts.join(
             [

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from costs.kinematics import Kinematics
-from costs.robot.model import RobotModel
+from costs.robot.model import LinkBody, RobotModel
 from costs.stopping import poll
 
 SUPPORT_BAND = 1e-3  # vertices within this of the support plane are averaged, as in TrajOpt [m]
+
+_KEPT = 8  # robots, with or without a mechanism or what they carry
 
 
 @dataclass(frozen=True)
@@ -37,17 +40,8 @@ class BodyVertices:
 
     @staticmethod
     def of(robot: RobotModel) -> BodyVertices:
-        """Return the bodies of a robot."""
-        count = np.array([len(body.outer) for body in robot.bodies], dtype=int)
-        longest = int(count.max(initial=1))
-        local = np.empty((len(robot.bodies), longest, 3))
-        for row, body in zip(local, robot.bodies, strict=True):
-            row[: len(body.outer)], row[len(body.outer) :] = body.outer, body.outer[-1]
-        lower, upper = find_extent(local)
-        centre = 0.5 * (lower + upper)
-        radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
-        joint = np.array([body.joint for body in robot.bodies], dtype=int)
-        return BodyVertices(local, count, joint, lower, upper, centre, radius)
+        """Return the bodies of a robot, read once."""
+        return _read_vertices(robot.bodies)
 
     def in_world(self, kinematics: Kinematics) -> Float[np.ndarray, "T B V 3"]:
         """Return the world coordinates of all vertices at all waypoints."""
@@ -61,6 +55,20 @@ class BodyVertices:
         """Return the world coordinates of the bounding spheres' centres."""
         rotation = kinematics.rotation[:, self.joint]
         return np.asarray((rotation @ self.centre[:, :, None])[..., 0] + kinematics.position[:, self.joint])
+
+
+@lru_cache(maxsize=_KEPT)
+def _read_vertices(bodies: tuple[LinkBody, ...]) -> BodyVertices:
+    count = np.array([len(body.outer) for body in bodies], dtype=int)
+    longest = int(count.max(initial=1))
+    local = np.empty((len(bodies), longest, 3))
+    for row, body in zip(local, bodies, strict=True):
+        row[: len(body.outer)], row[len(body.outer) :] = body.outer, body.outer[-1]
+    lower, upper = find_extent(local)
+    centre = 0.5 * (lower + upper)
+    radius = np.linalg.norm(local - centre[:, None], axis=2).max(axis=1)
+    joint = np.array([body.joint for body in bodies], dtype=int)
+    return BodyVertices(local, count, joint, lower, upper, centre, radius)
 
 
 def find_extent(points: Float[np.ndarray, "*m V 3"]) -> tuple[Float[np.ndarray, "*m 3"], Float[np.ndarray, "*m 3"]]:

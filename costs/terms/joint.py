@@ -6,7 +6,6 @@ from math import comb
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import sparse
 
 from costs.state import MotionState
 from scopt import AffineRows, Residual
@@ -41,13 +40,10 @@ class JointDifference(Residual[MotionState]):
         starts = np.arange(n_waypoints - order) if waypoints is None else np.asarray(waypoints)
         joints = np.flatnonzero(joint_weights)
         stencil = np.array([(-1) ** (order - k) * comb(order, k) for k in range(order + 1)]) / dt**order
-        rows = np.arange(len(starts) * len(joints)).reshape(len(starts), len(joints), 1)
-        columns = (starts[:, None, None] + np.arange(order + 1)) * n + joints[None, :, None]
-        data = np.broadcast_to(stencil * joint_weights[joints][:, None], columns.shape)
-        self._matrix = sparse.csr_array(
-            (data.ravel(), (np.broadcast_to(rows, columns.shape).ravel(), columns.ravel())),
-            shape=(len(starts) * len(joints), n_waypoints * n),
-        )
+        blocks = np.zeros((len(joints), order + 1, n))
+        blocks[np.arange(len(joints)), :, joints] = stencil * joint_weights[joints][:, None]
+        first, blocks = np.repeat(starts, len(joints)), np.tile(blocks, (len(starts), 1, 1))
+        self._matrix = AffineRows.from_blocks(np.zeros(len(first)), first, blocks, n_waypoints).jacobian
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         return np.asarray(self._matrix @ state.kinematics.q.ravel())
@@ -78,7 +74,11 @@ class JointTarget(Residual[MotionState]):
         self._gain = np.broadcast_to(gain, shape).ravel()
         self._columns = (waypoints[:, None] * n + joints).ravel()
         m = len(self._columns)
-        self._matrix = sparse.csr_array((self._gain, (np.arange(m), self._columns)), shape=(m, n_waypoints * n))
+        blocks = np.zeros((m, 1, n))
+        blocks[np.arange(m), 0, np.tile(joints, len(waypoints))] = self._gain
+        self._matrix = AffineRows.from_blocks(
+            np.zeros(m), np.repeat(waypoints, len(joints)), blocks, n_waypoints
+        ).jacobian
 
     def value(self, state: MotionState) -> Float[np.ndarray, "m"]:
         return np.asarray(self._gain * (state.kinematics.q.ravel()[self._columns] - self._target))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import piqp
-from scipy import sparse
 
+from scopt.affine import store_matrix
 from scopt.errors import SolverError
 from scopt.qp.program import QPSolution, QPStatus, QuadraticProgram
 
@@ -45,11 +45,11 @@ def solve_piqp(program: QuadraticProgram) -> QPSolution:
     settings.eps_abs = settings.eps_rel = TOLERANCE
     settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = DUALITY_GAP
     solver.setup(
-        sparse.csc_matrix(program.P),
+        store_matrix(program.P),
         program.c,
-        None if program.E is None else sparse.csc_matrix(program.E),
+        None if program.E is None else store_matrix(program.E),
         program.f,
-        sparse.csc_matrix(program.G),
+        store_matrix(program.G),
         None,
         program.h,
         program.lower,

@@ -248,10 +248,10 @@ class WholeBody:
         kept: float = 0.0,
     ) -> SweptCollisionChecker:
         """Limit every margin to the distance at the given ends less a reserve: see ``PairMargins.relax_to``."""
-        margins = checker.margins
-        for q in ends:
-            margins = margins.relax_to(checker(self.engine(q[None])), reserve, touching_reserve, kept)
-        return checker.with_margins(margins)
+        if not len(ends):
+            return checker
+        contacts = checker.at_poses(self.engine.place(np.array(ends)))
+        return checker.with_margins(checker.margins.relax_to(contacts, reserve, touching_reserve, kept))
 
     def measure_nearest(self, q: Float[np.ndarray, "n"]) -> float:
         """Return the smallest distance of pairs that may not touch at a configuration, at most the sight [m]."""

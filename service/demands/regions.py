@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
+from costs.rotation import quaternion_matrix
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import PoseGoalRequest
 from service.verify import RegionTarget
@@ -24,7 +24,7 @@ def make_goal_region(pose: PoseGoalRequest) -> RegionTarget:
     """Return the region of a goal's pose; its path parameter is set by the phase."""
     axes = np.eye(3)
     if pose.quaternion_wxyz is not None:
-        axes = np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+        axes = quaternion_matrix(pose.quaternion_wxyz)
     has_place, is_turned = pose.position is not None, pose.quaternion_wxyz is not None
     return _make_region(pose, pose.relative_to, np.array(pose.origin), axes, WHOLE, has_place, is_turned)
 

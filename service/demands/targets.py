@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel, turn_near
+from costs.rotation import quaternion_matrix
 from costs.work_space import borrow_data
 from service.demands.regions import SMALLEST_SHIFT, SMALLEST_TURN, find_axis, make_goal_region, make_kept_region
 from service.request.schema import KeepRequest
@@ -85,7 +86,7 @@ def make_goal_rotation(pose: PoseGoalRequest) -> Float[np.ndarray, "3 3"] | None
     """Return the requested rotation_world_link; None where the orientation is free."""
     if pose.quaternion_wxyz is None:
         return None
-    return np.asarray(Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix())
+    return quaternion_matrix(pose.quaternion_wxyz)
 
 
 def _pose_targets(pose: PoseGoalRequest) -> tuple[PoseTarget | AxisTarget | RegionTarget, ...]:
@@ -128,7 +129,7 @@ def make_kept_pose(keep: KeepRequest, held: Float[np.ndarray, "4 4"]) -> Float[n
     if keep.position is not None:
         wanted[:3, 3] = keep.position
     if keep.quaternion_wxyz is not None:
-        wanted[:3, :3] = Rotation.from_quat(keep.quaternion_wxyz, scalar_first=True).as_matrix()
+        wanted[:3, :3] = quaternion_matrix(keep.quaternion_wxyz)
     return wanted
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
+from costs.rotation import quaternion_matrix
 from service.verify import (
     AxisTarget,
     Carrier,
@@ -249,7 +250,7 @@ def write_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:
 
 def read_rotation(quaternion_wxyz: Sequence[float]) -> Float[np.ndarray, "3 3"]:
     """Return the rotation matrix of a quaternion."""
-    return np.asarray(Rotation.from_quat(quaternion_wxyz, scalar_first=True).as_matrix())
+    return quaternion_matrix(quaternion_wxyz)
 
 
 @dataclass(frozen=True)

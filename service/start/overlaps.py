@@ -124,11 +124,13 @@ def _find_hull_overlaps(
     data = borrow_data(robot.model)
     pin.forwardKinematics(robot.model, data, q)
     here = np.eye(4)
-    poses = [data.oMi[thing.joint].homogeneous if isinstance(thing, LinkBody) else here for thing in things]
-    vertices = [thing.vertices @ pose[:3, :3].T + pose[:3, 3] for thing, pose in zip(things, poses, strict=True)]
+    poses = [data.oMi[body.joint].homogeneous for body in robot.bodies] + [here] * len(scene.pieces)
+    vertices = [
+        body.vertices @ pose[:3, :3].T + pose[:3, 3] for body, pose in zip(robot.bodies, poses, strict=False)
+    ]  # pieces follow
     overlaps: list[tuple[Overlap, bool]] = []
     of_link: dict[str, list[Float[np.ndarray, "V 3"]]] = {}
-    for body, points in zip(robot.bodies, vertices, strict=False):  # pieces follow
+    for body, points in zip(robot.bodies, vertices, strict=True):
         of_link.setdefault(body.link, []).append(points)
     resting = {
         (link, name)
@@ -136,7 +138,7 @@ def _find_hull_overlaps(
         if link in of_link
         for name in list_carrying_pieces(find_sole(of_link[link]), scene.pieces)
     }
-    for k, j in _find_box_pairs(vertices, len(robot.bodies)):
+    for k, j in _find_box_pairs(vertices, scene.pieces):
         body, other = robot.bodies[k], things[j]
         allowed = _allowed_depth(robot, body, other, resting)
         if not np.isfinite(allowed):
@@ -178,10 +180,20 @@ def describe_dead_end(overlap: Overlap, planted: Sequence[str]) -> str:
     return ""
 
 
-def _find_box_pairs(vertices: Sequence[Float[np.ndarray, "V 3"]], n_bodies: int) -> list[tuple[int, int]]:
-    """Return index pairs (body, later body or piece) whose axis-aligned bounding boxes intersect."""
-    low, high = (np.array([end(points, axis=0) for points in vertices]).reshape(-1, 3) for end in (np.min, np.max))
-    meets = np.all((low[:n_bodies, None] <= high) & (low <= high[:n_bodies, None]), axis=2)
+def _find_box_pairs(
+    vertices: Sequence[Float[np.ndarray, "V 3"]], pieces: Sequence[ConvexPiece]
+) -> list[tuple[int, int]]:
+    """Return index pairs (body, later body or piece) whose axis-aligned bounding boxes intersect.
+
+    Args:
+        vertices: of the bodies in the world.
+        pieces: whose indices follow those of the bodies.
+    """
+    n_bodies = len(vertices)
+    low = [*(points.min(axis=0) for points in vertices), *(piece.lower for piece in pieces)]
+    high = [*(points.max(axis=0) for points in vertices), *(piece.upper for piece in pieces)]
+    lower, upper = np.array(low).reshape(-1, 3), np.array(high).reshape(-1, 3)
+    meets = np.all((lower[:n_bodies, None] <= upper) & (lower <= upper[:n_bodies, None]), axis=2)
     return [(k, j) for k, j in np.argwhere(meets).tolist() if k < j]
 
 

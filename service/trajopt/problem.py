@@ -11,7 +11,8 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
+
+from costs.rotation import quaternion_matrix
 
 Vector = tuple[float, ...]
 ZEROS, ONES, UPRIGHT = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0)
@@ -252,6 +253,6 @@ class ProblemFile:
 def _make_matrix(xyz: Vector, wxyz: Vector) -> Float[np.ndarray, "4 4"]:
     """Return a pose as a matrix; the quaternion is normalised."""
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+    matrix[:3, :3] = quaternion_matrix(wxyz)
     matrix[:3, 3] = xyz
     return matrix

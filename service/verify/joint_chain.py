@@ -59,9 +59,13 @@ class JointChain:
         width = max((len(chain.coordinates) for chain in chains), default=0)
         shape = (len(chains), width)
         stacked = JointChain(*(np.zeros(shape, dtype) for dtype in (int, int, bool, float, bool, float)))
-        for row, chain in enumerate(chains):
-            for name in _COLUMNS:
-                getattr(stacked, name)[row, : len(chain.coordinates)] = getattr(chain, name)
+        if not width:
+            return stacked
+        lengths = np.array([len(chain.coordinates) for chain in chains])
+        row = np.repeat(np.arange(len(chains)), lengths)
+        column = np.arange(len(row)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        for name in _COLUMNS:
+            getattr(stacked, name)[row, column] = np.concatenate([getattr(chain, name) for chain in chains])
         return stacked
 
     def take(self, rows: Int[np.ndarray, "E"]) -> JointChain:
@@ -149,6 +153,7 @@ class JointTree:
                 for k, kind in enumerate(kinds)
             ]
         self._n_base = n_base
+        self._known = _borrow_chains(model)
 
     def ancestors(self, joint: int) -> list[int]:
         """Return the joint and its ancestors up to, not including, the universe."""
@@ -157,6 +162,16 @@ class JointTree:
             path.append(joint)
             joint = self._parents[joint]
         return path
+
+    def chain_of_body(self, holder: int, mover: int, vertices: Float[np.ndarray, "V 3"]) -> JointChain:
+        """Return ``chain`` of a body's own vertices, which is known from other motions with the same travels."""
+        known = self._known.get((holder, mover, id(vertices)))
+        if known is None or known.vertices is not vertices or not all(axis in self._axes[j] for j, axis in known.needs):
+            chain = self.chain(holder, mover, vertices)
+            joints = {*self.ancestors(holder)} ^ {*self.ancestors(mover)}
+            needs = tuple((j, axis) for j in joints for axis in self._axes[j] if not axis.is_revolute)
+            known = self._known[holder, mover, id(vertices)] = _KnownChain(vertices, needs, chain)
+        return known.chain
 
     def chain(self, holder: int, mover: int, points: Float[np.ndarray, "V 3"]) -> JointChain:
         """Return the chain that moves ``points`` (in the frame of joint ``mover``) in the frame of joint ``holder``."""
@@ -219,6 +234,34 @@ class _Axis:
     is_revolute: bool
     ratio: float
     travel: float
+
+
+@dataclass(frozen=True)
+class _KnownChain:
+    """A chain that was computed for another motion.
+
+    Attributes:
+        vertices: the body's own, by whose identity it is found.
+        needs: sliding axes with the travels that its reaches count.
+        chain: the chain.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    needs: tuple[tuple[int, _Axis], ...]
+    chain: JointChain
+
+
+_CHAINS: dict[int, tuple[pin.Model, dict[tuple[int, int, int], _KnownChain]]] = {}
+_KEPT = 4  # models
+
+
+def _borrow_chains(model: pin.Model) -> dict[tuple[int, int, int], _KnownChain]:
+    """Return the chains that are known of a model that is not changed any more."""
+    known = _CHAINS.pop(id(model), (model, {}))
+    while len(_CHAINS) >= _KEPT:
+        _CHAINS.pop(next(iter(_CHAINS)), None)
+    _CHAINS[id(model)] = known  # the last one used is the last one dropped
+    return known[1]
 
 
 def _farthest(points: Float[np.ndarray, "V 3"]) -> float:

@@ -17,6 +17,8 @@ from service.verify.joint_chain import JointTree
 from service.verify.motion import Motion, Phase, VerifyError
 from service.verify.timeline import list_phases, split_at_phases
 
+_POLLED = 64  # configurations between two polls: a millisecond
+
 
 @dataclass(frozen=True)
 class Placements:
@@ -65,10 +67,11 @@ class ForwardKinematics:
             raise VerifyError(f"configurations must be finite and have {model.nq} columns, got shape {q.shape}")
         data = borrow_data(model)
         view, block = _view_placements(model, data), np.empty((len(q), model.njoints, 12))
-        for row, configuration in zip(block, q, strict=True):
-            poll()
+        for number, configuration in enumerate(q):
+            if number % _POLLED == 0:
+                poll()
             pin.forwardKinematics(model, data, configuration)
-            row[:] = view
+            block[number] = view
         rotation = np.swapaxes(block[..., :9].reshape(len(q), model.njoints, 3, 3), -1, -2)
         return Placements(np.ascontiguousarray(rotation), np.ascontiguousarray(block[..., 9:]))
 

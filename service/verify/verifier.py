@@ -14,6 +14,8 @@ from service.verify.carrying.checks import check_carriers
 from service.verify.certificate import Basis, Certificate, Check, Coverage, Status
 from service.verify.clearance.checks import prove_clearance
 from service.verify.coverage.checks import check_coverage
+from service.verify.coverage.left_out import LeftOutPairs
+from service.verify.coverage.link_tree import LinkTree
 from service.verify.coverage.pressed import note_given
 from service.verify.coverage.required import list_own_joints
 from service.verify.forces.dynamics import check_dynamics
@@ -65,9 +67,10 @@ def _verify(motion: Motion, settings: VerifySettings) -> Certificate:
     validate_motion(motion)
     prepared = PreparedMotion(motion)
     checks = list(_run_checks(prepared, settings))
-    clearance = prove_clearance(prepared, settings)
+    left_out = LeftOutPairs.of(prepared, LinkTree(motion.robot))
+    clearance = prove_clearance(prepared, settings, left_out.open)
     checks += clearance.checks
-    coverage, against = check_coverage(prepared, clearance.tables, checks, settings)
+    coverage, against = check_coverage(prepared, left_out, clearance, checks)
     checks += against
     balance = [check.value for check in checks if check.name.startswith("balance.")]
     return Certificate(

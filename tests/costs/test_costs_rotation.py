@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from costs.rotation import log_derivative, log_rotation, make_quaternions, make_tangent_basis, skew
+from costs.rotation import (
+    log_derivative,
+    log_rotation,
+    make_quaternions,
+    make_tangent_basis,
+    quaternion_matrix,
+    skew,
+)
 
 ANGLES = (0.0, 1e-13, 1e-9, 1e-6, 1e-4, 1e-3, 0.5 * np.pi, 3.0, np.pi - 1e-6, np.pi - 1e-9)
 
@@ -97,3 +104,14 @@ def test_quaternions_do_not_flip_where_angles_go_on() -> None:
         angles = np.full((500, 3), 0.3)
         angles[:, column] = turn
         assert np.abs(np.diff(make_quaternions(angles), axis=0)).max() < 0.03
+
+
+@given(seed=st.integers(0, 10_000))
+def test_matrix_of_a_quaternion_is_scipys_to_the_last_bit(seed):
+    for quaternion in np.random.default_rng(seed).normal(size=(20, 4)):
+        assert (quaternion_matrix(quaternion) == Rotation.from_quat(quaternion, scalar_first=True).as_matrix()).all()
+
+
+def test_quaternion_without_length_is_refused():
+    with pytest.raises(ValueError, match="length 0"):
+        quaternion_matrix((0.0, 0.0, 0.0, 0.0))

@@ -177,3 +177,16 @@ def test_distances_are_exact_beyond_the_points_coal_scans_one_by_one(n_swept, n_
         distance = coal.ComputeDistance(swept, fixed)(here, here, request, result)
         worst = max(worst, abs(distance - signed_distance(points, still)))
     assert worst < 1e-5
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_contacts_at_poses_are_those_of_each_pose_alone(name):
+    robot, scene, x, _, _ = motion_with_contacts(name, 3)
+    checker, engine = checker_of(robot, scene, 0.03), KinematicsEngine(robot)
+    together = checker.at_poses(engine.place(x))
+    for t, pose in enumerate(x):
+        alone = checker(engine(pose[None]))
+        found = together.where(np.flatnonzero(together.first == t))
+        assert found.second.tolist() == [t] * len(found)
+        for one, other in ((found.body, alone.body), (found.other, alone.other), (found.distance, alone.distance)):
+            np.testing.assert_array_equal(one, other)

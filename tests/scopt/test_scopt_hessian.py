@@ -38,3 +38,13 @@ def test_the_sum_of_stacked_rows_is_the_same():
     parts = [WeightedRows(rows_of(rng, 4), rng.uniform(1.0, 2.0, 4)) for _ in range(3)]
     together = make_hessian(WeightedRows.stack(parts, N), np.ones(N, dtype=bool))
     np.testing.assert_allclose(together.toarray(), HessianSum(np.ones(N, dtype=bool)).of(parts).toarray(), atol=1e-12)
+
+
+def test_hessian_of_some_variables_is_that_part_of_the_whole():
+    rng = np.random.default_rng(4)
+    rows = AffineRows(np.zeros(20), sparse.csr_array(sparse.random_array((20, N), density=0.2, rng=rng)))
+    squared = WeightedRows(rows, rng.uniform(0.5, 2.0, 20))
+    is_free = rng.random(N) < 0.6
+    J = rows.jacobian.toarray()
+    whole = 2.0 * J.T @ (squared.weight[:, None] * J)
+    np.testing.assert_allclose(make_hessian(squared, is_free).toarray(), whole[np.ix_(is_free, is_free)], atol=1e-14)

@@ -215,3 +215,18 @@ def test_a_joint_that_is_neither_revolute_nor_prismatic_is_refused() -> None:
     model.addJoint(0, pin.JointModelHelicalUnaligned(np.array([0.0, 0.0, 1.0]), 0.1), pin.SE3.Identity(), "screw")
     with pytest.raises(VerifyError, match="'screw'"):
         JointTree(model, np.ones(1), 0)
+
+
+@settings(max_examples=60)
+@given(SEEDS, st.booleans())
+def test_a_chain_known_of_another_motion_is_the_one_of_this_motion(seed: int, is_floating: bool) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_model(rng, int(rng.integers(2, 8)), is_floating=is_floating, branches=True)
+    points = {joint: rng.uniform(-0.3, 0.3, size=(4, 3)) for joint in range(1, model.njoints)}
+    for _ in range(3):
+        tree = JointTree(model, rng.choice([0.1, 0.7], model.nq), 6 if is_floating else 0)
+        for mover, own in points.items():
+            for holder in range(model.njoints):
+                found, wanted = tree.chain_of_body(holder, mover, own), tree.chain(holder, mover, own)
+                assert found.coordinates.tolist() == wanted.coordinates.tolist()
+                assert found.reach.tolist() == wanted.reach.tolist()

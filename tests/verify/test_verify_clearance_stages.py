@@ -20,6 +20,7 @@ from service.verify import Motion, Phase, Status, VerifyError, VerifySettings, v
 from service.verify.clearance.broad_phase import bound_clearances, find_open_intervals, refine_edges
 from service.verify.clearance.pair_poses import PairPoses
 from service.verify.clearance.pairs import PairIntervals, PairTable, collect_pairs
+from service.verify.clearance.search import examine_pairs
 from service.verify.joint_chain import JointChain
 from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 
@@ -58,24 +59,54 @@ def _distance(motion: Motion, table: PairTable, pair: int, s: float) -> float:
 
 @settings(max_examples=30)
 @given(SEEDS)
-def test_pairs_taken_out_of_a_table_are_those_of_a_robot_that_checks_no_others(seed: int) -> None:
+def test_pairs_left_out_follow_the_checked_ones_as_a_robot_has_them_that_checks_no_others(seed: int) -> None:
     motion = _crowd(seed)
     prepared, table, _, _ = _prepare(motion)
     every = list(combinations(sorted({body.link for body in motion.robot.bodies}), 2))
     rng = np.random.default_rng(seed)
     chosen = [pair for pair in every if rng.random() < 0.5]
     alone = replace(motion, robot=replace(motion.robot, ignored_pairs=frozenset(every) - set(chosen)), scene=Scene(()))
-    taken, wanted = table.between(chosen, table.n_bodies), collect_pairs(alone, prepared.tree)
-    assert [taken.names(pair) for pair in range(len(taken.mover))] == [
+    both, wanted = table.with_left_out(chosen), collect_pairs(alone, prepared.tree)
+    n = len(table.mover)
+    assert [both.names(pair) for pair in range(n, len(both.mover))] == [
         wanted.names(pair) for pair in range(len(wanted.mover))
     ]
-    assert taken.n_bodies == wanted.n_bodies == len(taken.solids) == len(wanted.solids)
-    np.testing.assert_array_equal(taken.allowed.shape, wanted.allowed.shape)
-    assert np.isnan(taken.allowed).all()
-    np.testing.assert_array_equal(taken.demanded, wanted.demanded)
-    for mine, other in zip(taken.world, wanted.world, strict=True):
-        np.testing.assert_array_equal(mine.coordinates, other.coordinates)
-        np.testing.assert_array_equal(mine.reach, other.reach)
+    assert {both.link_names(pair) for pair in range(n, len(both.mover))} == set(chosen)
+    assert both.is_left_out.tolist() == [False] * n + [True] * len(wanted.mover)
+    assert np.isnan(both.allowed[n:]).all()
+    assert not both.demanded[n:].any()
+    again = both.without_left_out()
+    for name in ("mover", "holder", "allowed", "demanded", "chain", "is_left_out"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(table, name))
+
+
+@settings(max_examples=20)
+@given(SEEDS)
+def test_what_is_known_of_checked_pairs_does_not_depend_on_the_pairs_left_out(seed: int) -> None:
+    motion = _crowd(seed)
+    prepared, table, _, _ = _prepare(motion)
+    every = list(combinations(sorted({body.link for body in motion.robot.bodies}), 2))
+    of_pieces = replace(motion, robot=replace(motion.robot, ignored_pairs=frozenset(every)))
+    table = collect_pairs(of_pieces, prepared.tree)
+    knots, phase = motion.curve.knots, np.zeros(len(motion.curve.knots) - 1, dtype=int)
+    alone = examine_pairs(prepared, table, knots, phase, VerifySettings())
+    both = examine_pairs(prepared, table.with_left_out(every), knots, phase, VerifySettings())
+    own = both.without_left_out()
+    np.testing.assert_array_equal(own.floors, alone.floors)
+    assert set(own.proof.refuted) == set(alone.proof.refuted)
+    for found, wanted in ((own.proof.proven, alone.proof.proven), (own.proof.unproven, alone.proof.unproven)):
+        order = [np.lexsort([part.last, part.first, part.pair]) for part in (found, wanted)]
+        np.testing.assert_array_equal(found.take(order[0]).lower, wanted.take(order[1]).lower)
+    # A robot that checks the pairs finds the same ones in touch.
+    checked = examine_pairs(prepared, collect_pairs(motion, prepared.tree), knots, phase, VerifySettings())
+    inside = {checked.table.link_names(pair) for pair, _ in checked.proof.refuted if _is_of_links(checked.table, pair)}
+    touching = both.list_touching()
+    assert inside <= set(touching)
+    assert {links for links, (depth, _) in touching.items() if depth > 0.0} == inside
+
+
+def _is_of_links(table: PairTable, pair: int) -> bool:
+    return bool(table.holder[pair] < table.n_bodies)
 
 
 @settings(max_examples=40)

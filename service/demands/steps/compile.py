@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from costs.allowance import Allowance, BodyRef
 from costs.guide import Guide
 from costs.robot import BASE_NAMES, RobotModel
-from costs.rotation import turn_towards
+from costs.rotation import quaternion_matrix, turn_towards
 from costs.work_space import borrow_data
 from service.demands.grasping.gripper import Gripper
 from service.demands.hands import list_robot_hands
@@ -278,7 +278,7 @@ def _lead_to_pose(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"], move: Mov
     free = pose.free_axis if pose.free_axis != "none" else move.free_axis
     turn = np.zeros(3)
     if pose.quaternion_wxyz is not None:
-        wanted = Rotation.from_quat(pose.quaternion_wxyz, scalar_first=True).as_matrix()
+        wanted = quaternion_matrix(pose.quaternion_wxyz)
         axis = None if free == "all" else find_axis(free)
         if axis is not None:
             wanted = turn_towards(wanted[None], at[None, :3, :3], axis)[0]

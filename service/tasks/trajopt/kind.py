@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
+from costs.rotation import quaternion_matrix
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.request.tasks.trajopt import ProblemSection
@@ -55,7 +55,7 @@ class ProblemPlanPart(PlanPart[ProblemSection]):
 
 
 def _read_rotation(term: PoseTerm) -> Float[np.ndarray, "3 3"]:
-    return np.asarray(Rotation.from_quat(term.wxyz, scalar_first=True).as_matrix())
+    return quaternion_matrix(term.wxyz)
 
 
 PART = ProblemPlanPart()

@@ -60,9 +60,12 @@ def find_open_intervals(
     floors: Float[np.ndarray, "I C"],
     horizon: float,
 ) -> PairIntervals:
-    """Return pairs and intervals that the broad phase leaves open: nearer than the horizon, or touching if allowed."""
+    """Return pairs and intervals that the broad phase leaves open: nearer than the horizon, or touching if allowed.
+
+    Pairs that are left out are open where they may touch.
+    """
     may_touch = ~np.isnan(table.allowed[:, phase].T)
-    near = np.maximum(horizon, table.demanded + ROUNDING_M)
+    near = np.where(table.is_left_out, ROUNDING_M, np.maximum(horizon, table.demanded + ROUNDING_M))
     # Negated, so that a floor that is NaN leaves its pair open.
     interval, pair = np.nonzero(~(floors >= np.where(may_touch, ROUNDING_M, near)))
     return PairIntervals.unknown(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 
@@ -33,6 +33,7 @@ class Clearance:
         stretches: the proof.
         gaps: intervals on which it leaves a pair open.
         tables: the pairs of bodies that were examined, one for each set of carriers of the motion's objects.
+        touching: links left out that are not shown to keep apart: deepest sampled overlap [m], and where.
     """
 
     checks: tuple[Check, ...]
@@ -42,6 +43,7 @@ class Clearance:
     stretches: Stretches
     gaps: Gaps
     tables: tuple[PairTable, ...]
+    touching: Mapping[tuple[str, str], tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -50,18 +52,28 @@ class _Stretch:
 
     Attributes:
         prepared: the motion with its objects as they are carried.
-        examined: the pairs on these intervals.
+        examined: the checked pairs on these intervals.
+        touching: of the links left out, those that are not shown to keep apart.
         lowest: (I,) smallest floor of the pairs that the search did not examine [m].
     """
 
     prepared: PreparedMotion
     examined: Examination
+    touching: Mapping[tuple[str, str], tuple[float, float]]
     lowest: Float[np.ndarray, "I"]
 
 
-def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clearance:
-    """Prove or refute that every pair keeps clear, or within its allowed depth, along the whole motion."""
-    parts = list(_examine_parts(prepared, settings))
+def prove_clearance(
+    prepared: PreparedMotion, settings: VerifySettings, left_out: Collection[tuple[str, str]]
+) -> Clearance:
+    """Prove or refute that every pair keeps clear, or within its allowed depth, along the whole motion.
+
+    Args:
+        prepared: the motion.
+        settings: of the proof.
+        left_out: names of two links each, in order, of which only whether they keep apart is asked.
+    """
+    parts = list(_examine_parts(prepared, settings, left_out))
     smallest, pair = min(
         (_min_clearance(part.examined, part.lowest, settings) for part in parts),
         key=lambda found: np.nan_to_num(found[0], nan=np.inf),
@@ -79,10 +91,24 @@ def prove_clearance(prepared: PreparedMotion, settings: VerifySettings) -> Clear
         _join_columns([_proof_columns(part.examined, part.lowest) for part in parts]),
         _join_gaps([list_gaps(part.examined) for part in parts]),
         tuple(part.examined.table for part in parts),
+        _join_touching([part.touching for part in parts]),
     )
 
 
-def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[_Stretch]:
+def _join_touching(
+    parts: Sequence[Mapping[tuple[str, str], tuple[float, float]]],
+) -> Mapping[tuple[str, str], tuple[float, float]]:
+    """Return the deepest overlap of each pair of links in all parts, and where."""
+    touching: dict[tuple[str, str], tuple[float, float]] = {}
+    for part in parts:
+        for links, overlap in part.items():
+            touching[links] = max(touching.get(links, overlap), overlap, key=lambda found: found[0])
+    return touching
+
+
+def _examine_parts(
+    prepared: PreparedMotion, settings: VerifySettings, left_out: Collection[tuple[str, str]]
+) -> Iterator[_Stretch]:
     """Yield the parts of the motion between changes of carriers."""
     placed = [prepared.in_phase(phase) for phase in prepared.phases]
     begins = [k for k, own in enumerate(placed) if k == 0 or own.motion is not placed[k - 1].motion]
@@ -90,9 +116,10 @@ def _examine_parts(prepared: PreparedMotion, settings: VerifySettings) -> Iterat
         rows = np.flatnonzero((prepared.edge_phase >= first) & (prepared.edge_phase < last))
         own = placed[first]
         edges = prepared.edges[rows[0] : rows[-1] + 2]
-        table = collect_pairs(own.motion, own.tree)
-        examined = examine_pairs(own, table, edges, prepared.edge_phase[rows], settings)
-        yield _Stretch(own, examined, _lowest_floors(examined))
+        table = collect_pairs(own.motion, own.tree).with_left_out(left_out)
+        every = examine_pairs(own, table, edges, prepared.edge_phase[rows], settings)
+        examined = every.without_left_out()
+        yield _Stretch(own, examined, every.list_touching(), _lowest_floors(examined))
 
 
 def _join_columns(parts: Sequence[Stretches]) -> Stretches:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from costs.stopping import poll
 from service.verify.clearance.pairs import PairIntervals, PairTable
@@ -85,6 +85,11 @@ class PairPoses:
             holder_translation,
             bound_chord_deviation(table, mover, chains, over, placed, pose[:, MIDDLE], settings),
         )
+
+    @property
+    def is_left_out(self) -> Bool[np.ndarray, "E"]:
+        """Rows of pairs that are left out."""
+        return np.asarray(self.table.is_left_out[self.intervals.pair])
 
     def key(self, row: int) -> tuple[int, int]:
         """Return pair and phase of a row."""
@@ -166,7 +171,7 @@ class PoseSamples:
     """Signed distances at poses, from coal, and what is extreme among them.
 
     Attributes:
-        nearest: smallest distance of a pair that may not touch, or the horizon [m].
+        nearest: smallest distance of a checked pair that may not touch, or the horizon [m].
         deepest: by pair and phase, the smallest distance of a pair allowed to touch [m].
         refuted: by pair and phase, the deepest pose that is nearer than demanded, or deeper than allowed.
     """
@@ -186,7 +191,8 @@ class PoseSamples:
         distance, direction = poses.closest(rows, columns, self._query)
         allowed = poses.allowed[rows]
         may_touch = ~np.isnan(allowed)
-        self.nearest = min(self.nearest, float(distance[~may_touch].min(initial=np.inf)))
+        counts = ~may_touch & ~poses.is_left_out[rows]
+        self.nearest = min(self.nearest, float(distance[counts].min(initial=np.inf)))
         for k in np.flatnonzero(may_touch).tolist():
             key = poses.key(int(rows[k]))
             self.deepest[key] = min(self.deepest.get(key, np.inf), float(distance[k]))

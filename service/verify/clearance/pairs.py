@@ -29,6 +29,7 @@ class PairTable:
         world: per body, the joints that move it in the world.
         chain: (C,) row of ``chains`` of pairs near each other, else -1.
         chains: row by row, the joints that move a mover in its holder's frame.
+        is_left_out: (C,) pairs that are only shown to keep apart: no check is about them, and they come last.
     """
 
     solids: tuple[CoalSolid, ...]
@@ -40,6 +41,7 @@ class PairTable:
     world: tuple[JointChain, ...]
     chain: Int[np.ndarray, "C"]
     chains: JointChain
+    is_left_out: Bool[np.ndarray, "C"]
 
     def names(self, pair: int) -> tuple[str, str]:
         """Return the names of mover and holder."""
@@ -65,29 +67,42 @@ class PairTable:
         """Radius of every body's sphere [m]."""
         return np.array([solid.sphere[1] for solid in self.solids[: self.n_bodies]])
 
-    def between(self, links: Collection[tuple[str, str]], n_bodies: int) -> PairTable:
-        """Return the pairs of bodies of two links each, none of which may touch.
-
-        Args:
-            links: names of two links, in order.
-            n_bodies: only so many of the bodies are in the table.
-        """
-        bodies, joint = self.solids[:n_bodies], self.joint[:n_bodies]
-        i, j = np.triu_indices(n_bodies, 1)
+    def with_left_out(self, links: Collection[tuple[str, str]]) -> PairTable:
+        """Return the table with all pairs of bodies of these links, given by names in order, as pairs left out."""
+        if not links:
+            return self
+        bodies, joint = self.solids[: self.n_bodies], self.joint[: self.n_bodies]
+        i, j = np.triu_indices(self.n_bodies, 1)
         chosen = _are_listed(bodies, links)[i, j] & (joint[i] != joint[j])
         mover, holder = i[chosen], j[chosen]
-        free, none = np.full((len(mover), 1), np.nan), np.full(len(mover), -1)
-        return PairTable(
-            bodies,
-            n_bodies,
-            mover,
-            holder,
-            free,
-            np.zeros(len(mover)),
-            self.world[:n_bodies],
-            none,
-            JointChain.stack(()),
+        none = np.full(len(mover), -1)
+        return replace(
+            self,
+            mover=np.concatenate([self.mover, mover]),
+            holder=np.concatenate([self.holder, holder]),
+            allowed=np.concatenate([self.allowed, np.full((len(mover), self.allowed.shape[1]), np.nan)]),
+            demanded=np.concatenate([self.demanded, np.zeros(len(mover))]),
+            chain=np.concatenate([self.chain, none]),
+            is_left_out=np.concatenate([self.is_left_out, none < 0]),
         )
+
+    def without_left_out(self) -> PairTable:
+        """Return the table of the pairs that are checked; their numbers stay the same."""
+        n = int(np.count_nonzero(~self.is_left_out))
+        return replace(
+            self,
+            mover=self.mover[:n],
+            holder=self.holder[:n],
+            allowed=self.allowed[:n],
+            demanded=self.demanded[:n],
+            chain=self.chain[:n],
+            is_left_out=self.is_left_out[:n],
+        )
+
+    def link_names(self, pair: int) -> tuple[str, str]:
+        """Return the links of two bodies, in order."""
+        a, b = (self.solids[side[pair]].link for side in (self.mover, self.holder))
+        return (a, b) if a < b else (b, a)
 
     def with_chains(self, tree: JointTree, near: Int[np.ndarray, "K"]) -> PairTable:
         """Return the table with chains of the pairs ``near``, each swept in the frame that gives the tighter bound."""
@@ -99,7 +114,7 @@ class PairTable:
                 return mover
             if (frame, mover) not in known:
                 known[frame, mover] = len(chains)
-                chains.append(tree.chain(frame, self.solids[mover].joint, self.solids[mover].vertices))
+                chains.append(tree.chain_of_body(frame, self.solids[mover].joint, self.solids[mover].vertices))
             return known[frame, mover]
 
         mover, holder = self.mover.copy(), self.holder.copy()
@@ -136,10 +151,9 @@ def collect_pairs(motion: Motion, tree: JointTree) -> PairTable:
     added = np.array([motion.padding.get(s.link if s.link else s.name, 0.0) for s in solids])
     least = np.maximum(motion.clearance_m, added[mover] + added[holder])
     demanded = np.where(is_own[mover] & (holder >= len(bodies)), least + sways[mover], 0.0)
-    world = tuple(tree.chain(0, solid.joint, solid.vertices) for solid in bodies)
-    return PairTable(
-        solids, len(bodies), mover, holder, allowed, demanded, world, np.full(len(mover), -1), JointChain.stack(())
-    )
+    world = tuple(tree.chain_of_body(0, solid.joint, solid.vertices) for solid in bodies)
+    none = np.full(len(mover), -1)
+    return PairTable(solids, len(bodies), mover, holder, allowed, demanded, world, none, JointChain.stack(()), none > 0)
 
 
 def _are_ignored(bodies: Sequence[CoalSolid], pairs: frozenset[tuple[str, str]]) -> Bool[np.ndarray, "B B"]:

@@ -43,6 +43,10 @@ class ClearanceBounds:
         """Lower bound of the clearance [m]."""
         return np.asarray(self.distance - self.bound)
 
+    def take(self, rows: Bool[np.ndarray, "R"]) -> ClearanceBounds:
+        """Return these rows."""
+        return ClearanceBounds(*(column[rows] for column in vars(self).values()))
+
     @staticmethod
     def join(parts: Sequence[ClearanceBounds]) -> ClearanceBounds:
         """Concatenate the parts."""
@@ -92,6 +96,32 @@ class Examination:
     floors: Float[np.ndarray, "I C"]
     proof: ClearanceProof
 
+    def without_left_out(self) -> Examination:
+        """Return what is known of the pairs that are checked; their numbers stay the same."""
+        table, proof = self.table.without_left_out(), self.proof
+        n = len(table.mover)
+        own = ClearanceProof(
+            proof.proven.take(proof.proven.pair < n),
+            proof.unproven.take(proof.unproven.pair < n),
+            proof.abandoned.take(proof.abandoned.pair < n),
+            {key: sample for key, sample in proof.refuted.items() if key[0] < n},
+            proof.deepest,
+            proof.examined.take(proof.examined.pair < n),
+        )
+        return Examination(table, self.edges, self.phase_rows, self.floors[:, :n], own)
+
+    def list_touching(self) -> dict[tuple[str, str], tuple[float, float]]:
+        """Return the links left out that are not shown to keep apart: deepest sampled overlap [m], and where."""
+        touching: dict[tuple[str, str], tuple[float, float]] = {}
+        unproven = self.proof.unproven.take(self.table.is_left_out[self.proof.unproven.pair])
+        for pair, first in zip(unproven.pair.tolist(), unproven.first.tolist(), strict=True):
+            touching.setdefault(self.table.link_names(pair), (0.0, first))
+        for sample in self.proof.refuted.values():
+            if self.table.is_left_out[sample.pair]:
+                links = self.table.link_names(sample.pair)
+                touching[links] = max(touching.get(links, (0.0, 0.0)), (-sample.distance, sample.s))
+        return touching
+
 
 def examine_pairs(
     prepared: PreparedMotion,
@@ -121,9 +151,9 @@ def search_clearance(
     samples = PoseSamples(settings.clearance_horizon_m, settings.contact_tolerance_m)
     rounds = _Rounds(prepared, table, settings, samples)
     examined, left = list[PairIntervals](), start.take(slice(0))
-    for chunk in _nearest_first(start):
+    for chunk in _nearest_first(table, start):
         # A small distance among the nearest makes most of the others unnecessary to examine.
-        may_touch = ~np.isnan(table.allowed[chunk.pair, chunk.phase])
+        may_touch = ~np.isnan(table.allowed[chunk.pair, chunk.phase]) | table.is_left_out[chunk.pair]
         enough = np.where(may_touch, ROUNDING_M, np.maximum(samples.nearest, table.demanded[chunk.pair] + ROUNDING_M))
         examined.append(chunk.take(~(chunk.floor >= enough)))  # a floor that is NaN is examined
         left = rounds.run(PairIntervals.join([examined[-1], left]))
@@ -135,8 +165,9 @@ def search_clearance(
     return ClearanceProof(proven, unproven, abandoned, samples.refuted, samples.deepest, PairIntervals.join(examined))
 
 
-def _nearest_first(start: PairIntervals) -> Iterator[PairIntervals]:
-    order = np.argsort(start.floor, kind="stable")
+def _nearest_first(table: PairTable, start: PairIntervals) -> Iterator[PairIntervals]:
+    """Yield intervals in chunks, those of pairs left out last."""
+    order = np.lexsort([start.floor, table.is_left_out[start.pair]])
     yield start.take(order[:_NEAREST])
     for low in range(_NEAREST, len(order), _CHUNK):
         yield start.take(order[low : low + _CHUNK])
@@ -152,7 +183,7 @@ class _Rounds:
         self.unproven: list[ClearanceBounds] = []
         self.abandoned: list[ClearanceBounds] = []
         self._prepared, self._table, self._settings, self._samples = prepared, table, settings, samples
-        self._n_intervals = 0
+        self._n_intervals = np.zeros(2, dtype=int)  # of checked pairs, of pairs left out: neither uses up the other's
 
     def run(self, intervals: PairIntervals) -> PairIntervals:
         """Decide every interval; return the halves of those that stay open."""
@@ -160,8 +191,10 @@ class _Rounds:
         if len(intervals) == 0:
             return intervals
         settings, is_new = self._settings, intervals.halved == 0
-        is_spent = not np.any(is_new) and self._n_intervals + 3 * len(intervals) > settings.max_intervals
-        self._n_intervals += len(intervals)
+        is_left_out = self._table.is_left_out[intervals.pair].astype(int)
+        counts = np.bincount(is_left_out, minlength=2)
+        is_spent = (self._n_intervals + 3 * counts > settings.max_intervals)[is_left_out] & (not np.any(is_new))
+        self._n_intervals += counts
         poses = PairPoses.at(self._prepared, self._table, intervals, settings)
         attempt = _IntervalBounds(poses, self._samples, settings, is_spent)
         attempt.try_hints()
@@ -186,7 +219,9 @@ class _Rounds:
 class _IntervalBounds:
     """Lower bounds of intervals, raised by every direction that is tried."""
 
-    def __init__(self, poses: PairPoses, samples: PoseSamples, settings: VerifySettings, is_spent: bool) -> None:
+    def __init__(
+        self, poses: PairPoses, samples: PoseSamples, settings: VerifySettings, is_spent: Bool[np.ndarray, "E"]
+    ) -> None:
         self._poses, self._samples, self._settings = poses, samples, settings
         self._may_touch = ~np.isnan(poses.allowed)
         self._need = poses.need
@@ -194,7 +229,8 @@ class _IntervalBounds:
         self._direction = poses.intervals.hint.copy()
         self._sampled = np.column_stack([poses.intervals.ends, np.full(len(poses.allowed), np.inf)])
         self.is_last = (poses.intervals.halved >= settings.max_halvings) | is_spent
-        self._sharpens = (poses.intervals.halved < settings.max_sharpenings) & ~self.is_last
+        self._is_left_out = poses.is_left_out
+        self._sharpens = (poses.intervals.halved < settings.max_sharpenings) & ~self.is_last & ~self._is_left_out
 
     @property
     def _lower(self) -> Float[np.ndarray, "E"]:
@@ -203,7 +239,7 @@ class _IntervalBounds:
     @property
     def _wanted(self) -> Float[np.ndarray, "E"]:
         """Bound below which the smallest clearance would be reported as smaller than it is known to be [m]."""
-        known = self._samples.nearest - self._settings.resolution_m
+        known = np.where(self._is_left_out, 0.0, self._samples.nearest - self._settings.resolution_m)
         return np.asarray(np.maximum(known, np.maximum(self._need, 0.0)))
 
     @property

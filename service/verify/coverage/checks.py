@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.verify.certificate import SMALL_LINK_M, Basis, Check, Coverage, Shapeless
+from service.verify.clearance.checks import Clearance
 from service.verify.clearance.pairs import PairTable
-from service.verify.coverage.left_out import check_overlaps, find_left_out_pairs
-from service.verify.coverage.link_tree import LinkTree
+from service.verify.coverage.left_out import LeftOutPairs, check_overlaps
 from service.verify.coverage.pressed import check_pressed
 from service.verify.coverage.required import (
     find_joints_without_torque_limit,
@@ -17,27 +17,26 @@ from service.verify.coverage.required import (
     report_missing_checks,
 )
 from service.verify.coverage.shapeless import find_shapeless_links, list_drawn_links
-from service.verify.motion import VerifySettings
 from service.verify.prepared_motion import PreparedMotion
 
 
 def check_coverage(
-    prepared: PreparedMotion, tables: Sequence[PairTable], checks: Sequence[Check], settings: VerifySettings
+    prepared: PreparedMotion, pairs: LeftOutPairs, clearance: Clearance, checks: Sequence[Check]
 ) -> tuple[Coverage, tuple[Check, ...]]:
     """Return what was checked, an unproven check for everything that rules out a certificate, and pressed parts.
 
     Args:
-        tables: pairs of bodies whose clearance was examined, one for each set of carriers of the motion's objects.
+        prepared: the motion.
+        pairs: of links that are not checked.
+        clearance: of the others, and which of these are not shown to keep apart.
         checks: that were made.
-        settings: of the proofs that pairs left out keep apart.
     """
-    motion = prepared.motion
-    tree = LinkTree(motion.robot)
+    motion, tree = prepared.motion, pairs.tree
     required = list_required_checks(motion, prepared.phases)
-    left_out = find_left_out_pairs(prepared, tables[0], tree, settings)
+    left_out = pairs.list_left_out(clearance.touching)
     shapeless = find_shapeless_links(prepared, tree)
     own = [link for link in tree.joint if link not in motion.mechanism_links]
-    counts = [_count_pairs(table) for table in tables]
+    counts = [_count_pairs(table) for table in clearance.tables]
     n_link_pairs, n_piece_pairs = (max(count[kind] for count in counts) for kind in (0, 1))
     objects = tuple(item.name for item in motion.objects)
     starts_inside = sum(check.name.startswith("start.") for check in checks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, product
 from weakref import WeakKeyDictionary
 
@@ -12,10 +12,8 @@ from jaxtyping import Float, Int
 
 from costs.robot.model import LinkBody, RobotModel
 from service.verify.certificate import Basis, Check, LeftOut, Where
-from service.verify.clearance.pairs import PairTable
-from service.verify.clearance.search import examine_pairs
 from service.verify.coverage.link_tree import LinkTree
-from service.verify.motion import Motion, RelativePoseTarget, VerifySettings
+from service.verify.motion import Motion, RelativePoseTarget
 from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
 from service.verify.solids import CoalSolid, DistanceQuery
 from service.verify.timeline import find_time
@@ -30,39 +28,61 @@ _APART_M = 0.05
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
 
-def find_left_out_pairs(
-    prepared: PreparedMotion, table: PairTable, tree: LinkTree, settings: VerifySettings
-) -> tuple[LeftOut, ...]:
-    """List every pair of the robot's own links with shapes that is not checked.
+@dataclass(frozen=True)
+class LeftOutPairs:
+    """Pairs of the robot's own links with shapes that are not checked, as far as samples of the motion tell.
 
-    Args:
-        table: of the motion's first part; the robot's bodies come first in it.
+    Attributes:
+        prepared: the motion.
+        tree: of the robot's links.
+        settled: pairs of which nothing is to be shown: links of one joint, and neighbours.
+        overlaps: pairs that overlap at some sample: deepest overlap [m], and where.
+        open: pairs that overlap at none, by names in order.
     """
-    motion = prepared.motion
-    own = sorted(tree.shaped - motion.mechanism_links)
-    # Names out of order denote no pair, as documented in RobotModel.
-    ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
-    left_out, rest = [], []
-    samples = _Samples.of(prepared)
-    for pair in combinations(own, 2):
-        if tree.joint[pair[0]] == tree.joint[pair[1]]:
-            left_out.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
-        elif pair in ignored and tree.are_neighbours(*pair):
-            left_out.append(_neighbour_pair(prepared, samples, tree, pair))
-        elif pair in ignored:
-            rest.append(pair)
-    kept = _kept_joints(prepared)
-    not_apart = _find_pairs_not_apart(prepared, table, samples, rest, settings)
-    for pair in rest:
-        if pair not in not_apart:
-            left_out.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
-            continue
-        depth, s = not_apart[pair]
-        is_kept = frozenset(tree.joint[link] for link in pair) in kept
-        is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
-        reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
-        left_out.append(LeftOut(pair, reason, is_around, depth, s, find_time(motion.law, s)))
-    return tuple(sorted(left_out, key=lambda item: item.pair))
+
+    prepared: PreparedMotion
+    tree: LinkTree
+    settled: tuple[LeftOut, ...]
+    overlaps: Mapping[tuple[str, str], tuple[float, float]]
+    open: tuple[tuple[str, str], ...]
+
+    @staticmethod
+    def of(prepared: PreparedMotion, tree: LinkTree) -> LeftOutPairs:
+        """Collect the pairs of a motion."""
+        motion = prepared.motion
+        own = sorted(tree.shaped - motion.mechanism_links)
+        # Names out of order denote no pair, as documented in RobotModel.
+        ignored = {pair for pair in motion.robot.ignored_pairs if pair[0] < pair[1]}
+        settled, rest = [], []
+        samples = _Samples.of(prepared)
+        for pair in combinations(own, 2):
+            if tree.joint[pair[0]] == tree.joint[pair[1]]:
+                settled.append(LeftOut(pair, "same joint", is_neighbour=False, deepest_m=float("nan")))
+            elif pair in ignored and tree.are_neighbours(*pair):
+                settled.append(_neighbour_pair(prepared, samples, tree, pair))
+            elif pair in ignored:
+                rest.append(pair)
+        overlaps = _find_sampled_overlaps(samples, rest)
+        return LeftOutPairs(
+            prepared, tree, tuple(settled), overlaps, tuple(pair for pair in rest if pair not in overlaps)
+        )
+
+    def list_left_out(self, touching: Mapping[tuple[str, str], tuple[float, float]]) -> tuple[LeftOut, ...]:
+        """List every pair with its reason; ``touching`` are those of ``open`` that are not shown to keep apart."""
+        motion, tree = self.prepared.motion, self.tree
+        left_out = list(self.settled)
+        left_out += [
+            LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0)
+            for pair in self.open
+            if pair not in touching
+        ]
+        kept = _kept_joints(self.prepared)
+        for pair, (depth, s) in {**self.overlaps, **touching}.items():
+            is_kept = frozenset(tree.joint[link] for link in pair) in kept
+            is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
+            reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
+            left_out.append(LeftOut(pair, reason, is_around, depth, s, find_time(motion.law, s)))
+        return tuple(sorted(left_out, key=lambda item: item.pair))
 
 
 def _neighbour_pair(prepared: PreparedMotion, samples: _Samples, tree: LinkTree, pair: tuple[str, str]) -> LeftOut:
@@ -71,7 +91,7 @@ def _neighbour_pair(prepared: PreparedMotion, samples: _Samples, tree: LinkTree,
     Its overlap is given where one link is fixed to the world and a far part of it meets the other.
     """
     if any(tree.joint[link] == 0 for link in pair):
-        for depth in samples.depths(pair):
+        for depth in samples.depths([pair])[1]:
             worst = int(depth.argmax())
             if depth.min() < -_APART_M and depth[worst] > 0.0:
                 deepest, place = float(depth[worst]), float(samples.s[worst])
@@ -82,7 +102,7 @@ def _neighbour_pair(prepared: PreparedMotion, samples: _Samples, tree: LinkTree,
 
 def check_overlaps(left_out: Sequence[LeftOut]) -> Iterator[Check]:
     """Yield an unproven check for each pair that is left out although its links overlap in the motion."""
-    for item in sorted(left_out, key=lambda item: -np.nan_to_num(item.deepest_m)):
+    for item in sorted(left_out, key=lambda item: -item.deepest_m if item.deepest_m > 0.0 else 0.0):
         if item.is_neighbour or item.reason == "kept" or item.s is None:
             continue
         a, b = item.pair
@@ -116,38 +136,6 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
         for phase in prepared.phases
     ]
     return set.intersection(*held) if held else set()
-
-
-def _find_pairs_not_apart(
-    prepared: PreparedMotion,
-    table: PairTable,
-    samples: _Samples,
-    pairs: Sequence[tuple[str, str]],
-    settings: VerifySettings,
-) -> Mapping[tuple[str, str], tuple[float, float]]:
-    """Return pairs that are not proven to keep apart on the whole curve: deepest sampled overlap [m], and where."""
-    overlaps = _find_sampled_overlaps(samples, pairs)
-    pairs = [pair for pair in pairs if pair not in overlaps]
-    if not pairs:
-        return overlaps
-    settings = replace(settings, max_sharpenings=0, clearance_horizon_m=settings.resolution_m)
-    knots = prepared.motion.curve.knots
-    phase = np.zeros(len(knots) - 1, dtype=int)
-    table = table.between(pairs, len(prepared.motion.robot.bodies))
-    examined = examine_pairs(prepared, table, knots, phase, settings)
-    table, proof = examined.table, examined.proof
-
-    def list_links(pair: int) -> tuple[str, str]:
-        a, b = (table.solids[side[pair]].link for side in (table.mover, table.holder))
-        return (a, b) if a < b else (b, a)
-
-    for row in range(len(proof.unproven.pair)):
-        pair = list_links(int(proof.unproven.pair[row]))
-        overlaps.setdefault(pair, (0.0, float(proof.unproven.first[row])))
-    for sample in proof.refuted.values():
-        pair = list_links(sample.pair)
-        overlaps[pair] = max(overlaps.get(pair, (0.0, 0.0)), (-sample.distance, sample.s))
-    return overlaps
 
 
 @dataclass(frozen=True)
@@ -186,37 +174,43 @@ class _Samples:
 
     def overlap(self, pair: tuple[str, str]) -> Float[np.ndarray, "S"]:
         """Return the overlap of a pair's links at each pose [m]; negative infinity where their spheres are apart."""
-        return np.asarray(np.max(list(self.depths(pair)), axis=0))
+        return np.asarray(self.depths([pair])[1].max(axis=0))
 
-    def depths(self, pair: tuple[str, str]) -> Iterator[Float[np.ndarray, "S"]]:
-        """Yield the same for each pair of their bodies."""
-        query = DistanceQuery()
-        of_first, of_second = ([k for k, solid in enumerate(self.solids) if solid.link == link] for link in pair)
-        for i, j in product(of_first, of_second):
-            first, second = self.solids[i], self.solids[j]
-            depth = np.full(len(self.rows), -np.inf)
-            between = self.centres[:, i] - self.centres[:, j]
-            reach = self.radii[i] + self.radii[j]
-            near = np.flatnonzero(np.einsum("sk,sk->s", between, between) < reach * reach)
-            if len(near):
-                rotation, translation = self.placed.relative(second.joint, first.joint, self.rows[near])
-                solids = [first.convex] * len(near), [second.convex] * len(near)
-                distance, _ = query.closest(solids[0], rotation, translation, solids[1])
-                depth[near] = -distance
-            yield depth
+    def depths(self, pairs: Sequence[tuple[str, str]]) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K S"]]:
+        """Return the same for each pair of bodies of each pair of links, and the number of its pair of links."""
+        of_link: dict[str, list[int]] = {}
+        for k, solid in enumerate(self.solids):
+            of_link.setdefault(solid.link, []).append(k)
+        both = [(n, i, j) for n, (a, b) in enumerate(pairs) for i, j in product(of_link[a], of_link[b])]
+        number, first, second = np.array(both, dtype=int).reshape(-1, 3).T  # of the links, and of their bodies
+        between = self.centres[:, first] - self.centres[:, second]
+        reach = self.radii[first] + self.radii[second]
+        near, k = np.nonzero(np.einsum("skx,skx->sk", between, between) < reach * reach)
+        depth = np.full((len(both), len(self.rows)), -np.inf)
+        joint = np.array([solid.joint for solid in self.solids], dtype=int)
+        rows, moved, held = self.rows[near], joint[first[k]], joint[second[k]]
+        back = np.swapaxes(self.placed.rotation[rows, held], -1, -2)
+        offset = self.placed.translation[rows, moved] - self.placed.translation[rows, held]
+        movers, holders = ([self.solids[b].convex for b in side[k].tolist()] for side in (first, second))
+        turned, shifted = back @ self.placed.rotation[rows, moved], (back @ offset[..., None])[..., 0]
+        distance, _ = DistanceQuery().closest(movers, turned, shifted, holders)
+        depth[k, near] = -distance
+        return number, depth
 
 
 def _find_sampled_overlaps(
     samples: _Samples, pairs: Sequence[tuple[str, str]]
 ) -> dict[tuple[str, str], tuple[float, float]]:
     """Return pairs that overlap at some sample of the motion: deepest overlap [m], and where."""
-    overlaps: dict[tuple[str, str], tuple[float, float]] = {}
-    for pair in pairs:
-        depth = samples.overlap(pair)
-        worst = int(depth.argmax())
-        if depth[worst] > 0.0:
-            overlaps[pair] = float(depth[worst]), float(samples.s[worst])
-    return overlaps
+    number, depth = samples.depths(pairs)
+    deepest = np.full((len(pairs), len(samples.rows)), -np.inf)
+    np.maximum.at(deepest, number, depth)
+    worst = deepest.argmax(axis=1)
+    return {
+        pair: (float(deepest[k, worst[k]]), float(samples.s[worst[k]]))
+        for k, pair in enumerate(pairs)
+        if deepest[k, worst[k]] > 0.0
+    }
 
 
 def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
