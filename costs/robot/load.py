@@ -27,6 +27,7 @@ from costs.robot.mesh.hull import (
     make_outer_hull,
     thicken_flat_points,
 )
+from costs.robot.mjcf.source import is_mjcf
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
@@ -47,10 +48,17 @@ def load_files(
     locked_joints: Mapping[str, float],
     drawn_links: Sequence[str] = (),
 ) -> RobotModel:
-    """Load a robot from a URDF and, if given, an SRDF; see ``costs.robot.load_robot``."""
+    """Load a robot from a URDF or MJCF and, if given, an SRDF; see ``costs.robot.load_robot``."""
     roots = tuple(Path(folder) for folder in package_dirs) or (urdf.parent,)
     srdf_text = "" if srdf is None else read_xml_text(srdf)
-    return build_robot(read_xml_text(urdf), srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links)
+    text, notes = read_xml_text(urdf), ()
+    if is_mjcf(text):
+        from costs.robot.mjcf.convert import rewrite_mjcf  # few robots are models of MuJoCo
+
+        rewritten = rewrite_mjcf(text, urdf, roots)
+        text, notes, roots = rewritten.urdf, rewritten.notes, (*roots, rewritten.folder)
+        srdf_text = srdf_text or rewritten.srdf
+    return build_robot(text, srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links, notes)
 
 
 def build_robot(
@@ -62,13 +70,14 @@ def build_robot(
     urdf_where: str,
     srdf_where: str,
     drawn_links: Sequence[str] = (),
+    notes_before: Sequence[str] = (),
 ) -> RobotModel:
-    """Build a robot from the texts of its files; ``*_where`` name them in messages."""
+    """Build a robot from the texts of its files; ``*_where`` name them in messages, ``notes_before`` come first."""
     urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar")
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)
-    notes = [*urdf.notes, *srdf.notes]
+    notes = [*notes_before, *urdf.notes, *srdf.notes]
     if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
         notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
