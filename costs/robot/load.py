@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+from lxml import etree
 
 from costs.primitive import make_round_shape
 from costs.robot import shapes
@@ -27,6 +28,8 @@ from costs.robot.mesh.hull import (
     make_outer_hull,
     thicken_flat_points,
 )
+from costs.robot.mesh.kept import find_kept_folder
+from costs.robot.mesh.split import LinkSplit
 from costs.robot.mjcf.source import is_mjcf
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
@@ -47,6 +50,7 @@ def load_files(
     root: Root,
     locked_joints: Mapping[str, float],
     drawn_links: Sequence[str] = (),
+    split: LinkSplit | None = None,
 ) -> RobotModel:
     """Load a robot from a URDF or MJCF and, if given, an SRDF; see ``costs.robot.load_robot``."""
     roots = tuple(Path(folder) for folder in package_dirs) or (urdf.parent,)
@@ -58,7 +62,7 @@ def load_files(
         rewritten = rewrite_mjcf(text, urdf, roots)
         text, notes, roots = rewritten.urdf, rewritten.notes, (*roots, rewritten.folder)
         srdf_text = srdf_text or rewritten.srdf
-    return build_robot(text, srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links, notes)
+    return build_robot(text, srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links, notes, split)
 
 
 def build_robot(
@@ -71,9 +75,17 @@ def build_robot(
     srdf_where: str,
     drawn_links: Sequence[str] = (),
     notes_before: Sequence[str] = (),
+    split: LinkSplit | None = None,
 ) -> RobotModel:
     """Build a robot from the texts of its files; ``*_where`` name them in messages, ``notes_before`` come first."""
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar")
+    whole_roots = roots
+
+    def change(elements: Mapping[str, etree._Element], notes: list[str]) -> None:
+        if split is not None:
+            split.apply(elements, whole_roots, urdf_where, notes)
+
+    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar", change=change)
+    roots = roots if split is None else (*roots, find_kept_folder())
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)

@@ -59,7 +59,8 @@ class RobotRequest(Section):
     the hands of a robot that hold mechanisms. ``servo`` is the stiffness of its joints' servos, from which the expected
     sag of the centre of mass follows. ``locked`` joints are fixed at a position [rad, m]. ``torque`` says which torques
     are compared with the joints' limits, by default all. ``drawn_links`` are links of the URDF without a collision
-    shape that get their drawn shapes as such.
+    shape that get their drawn shapes as such; ``decompose`` are links of the URDF whose collision meshes are split
+    into convex parts.
     """
 
     name: Label | None = None
@@ -75,9 +76,12 @@ class RobotRequest(Section):
     locked: Joints = field(default_factory=dict)
     torque: RobotTorqueRequest | None = None
     drawn_links: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
+    decompose: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
+        if self.name is not None and self.decompose:
+            raise PydanticCustomError("robot", "decompose belongs to a robot given by urdf, not by name")
         if self.name is not None and self.drawn_links:
             raise PydanticCustomError("robot", "drawn_links belong to a robot given by urdf, not by name")
         if self.name is not None and (self.srdf or self.package_dirs):

@@ -116,7 +116,9 @@ def _name_parts(mj: Any, path: Path, notes: list[str]) -> _Model:
     chosen = [main] if free is not None else [root for root in trees if not _is_free(mj, root)]
     left_out = [bodies[root] for root in trees if root not in chosen]
     if left_out:
-        notes.append(f"bodies {', '.join(left_out)} do not belong to the robot and are left out; put them into the scene")
+        notes.append(
+            f"bodies {', '.join(left_out)} do not belong to the robot and are left out; put them into the scene"
+        )
     if free is None and any(mj.geom_type[g] in (PLANE, HFIELD) for g in _list_geoms(mj, 0)):
         notes.append("the model's ground is left out; the request's scene has it")
     kept = tuple(k for root in chosen for k in trees[root])

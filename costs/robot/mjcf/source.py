@@ -17,8 +17,8 @@ from costs.robot.xmlfile import parse_xml, read_xml_text
 ROOT_TAG = "mujoco"
 MOST_INCLUDES = 50
 # What says nothing about links, joints and masses; textures and height fields name files of their own.
-UNUSED = ("visual", "statistic", "size", "sensor", "extension", "custom", "deformable", "default//texture", "asset/texture",
-          "asset/hfield", "asset/skin", "asset/model")  # fmt: skip
+UNUSED = ("visual", "statistic", "size", "sensor", "extension", "custom", "deformable", "default//texture",
+          "asset/texture", "asset/hfield", "asset/skin", "asset/model")  # fmt: skip
 
 
 def is_mjcf(text: str) -> bool:
@@ -75,7 +75,7 @@ def _include(element: etree._Element, folder: Path, roots: Sequence[Path], where
         count += 1
         if count > MOST_INCLUDES:
             raise RobotError(f"{where}: more than {MOST_INCLUDES} included files; does a file include itself?")
-        path = _find(include.get("file") or "", folder, roots, f"{where}: include")
+        path = _find(include.get("file") or "", folder, roots, f"{where}: <include>")
         included = parse_xml(read_xml_text(path), str(path), _root_tag(path))
         count = _include(included, folder, roots, where, count)
         parent, place = include.getparent(), include.getparent().index(include)
@@ -101,7 +101,7 @@ def _read_meshes(root: etree._Element, folder: Path, roots: Sequence[Path], wher
         file = mesh.get("file")
         if file is None:
             continue
-        path = _find(str(Path(directory) / file), folder, roots, f"{where}: mesh")
+        path = _find(str(Path(directory) / file), folder, roots, where)
         if mesh.get("name") is None:
             mesh.set("name", Path(file).stem)
         key = f"{number}{path.suffix.lower()}"
