@@ -103,7 +103,7 @@ RIGHT = {
     "c23b_ramp": Right("feet on a slope"),
     "c23b_ramp_gap": Right("feet on a slope"),
     "c23c_flatbox": Right("feet on a box"),
-    "c23d_ramp_contacts": Right("feet on a slope"),
+    "c23d_ramp_contacts": Right("a stance without its base", ("posture.base",)),
     "c23e_slope_scan": Right("feet on a slope"),
     "c23f_onbox": Right("feet on a box"),
     "c23g_floor02": Right("feet on a floor"),

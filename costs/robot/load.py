@@ -16,6 +16,7 @@ from lxml import etree
 
 from costs.primitive import make_round_shape
 from costs.robot import shapes
+from costs.robot.elements.bases import ROLLS
 from costs.robot.elements.joints import Joint
 from costs.robot.elements.shapes import LONG_M, Shape
 from costs.robot.errors import RobotError
@@ -40,7 +41,7 @@ from costs.robot.xmlfile import read_xml_text
 DEFAULT_ACCELERATION = 10.0
 PACKAGE_SCHEMES = ("package://", "model://")
 STILL = 1e-6  # range that counts as none [rad, m]
-Root = Literal["floating", "planar", "fixed"]
+Root = Literal["floating", "planar", "differential", "fixed"]
 
 
 def load_files(
@@ -84,7 +85,15 @@ def build_robot(
         if split is not None:
             split.apply(elements, whole_roots, urdf_where, notes)
 
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar", change=change)
+    urdf = parse_urdf(
+        urdf_source,
+        urdf_where,
+        locked_joints,
+        drawn_links,
+        is_planar=root in ("planar", "differential"),
+        rolls=root == "differential",
+        change=change,
+    )
     roots = roots if split is None else (*roots, find_kept_folder())
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
@@ -130,6 +139,7 @@ def build_robot(
         contacts={},
         hands={},
         notes=merge_notes(notes),
+        rolls=any(element.get(ROLLS) is not None for element in urdf.tree.findall("joint")),
     )
 
 
@@ -151,7 +161,7 @@ def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
         count = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none"
         raise RobotError(
             f"{where}: no joint moves (joints: {count}); a robot has at least one that does, or a base that robot.root "
-            "makes planar or floating"
+            "makes planar, differential or floating"
         )
     model = let_follow(model, {j.name: j.mimic for j in urdf.joints.values() if j.mimic is not None}, where)
     for frame in model.frames:

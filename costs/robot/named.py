@@ -69,7 +69,8 @@ def load_robot(
         urdf, srdf: files of another robot.
         package_dirs: folders that ``package://`` and relative mesh paths are looked for in, and the only ones meshes
             are read from; the URDF's own folder when empty.
-        root: ``floating``, ``planar`` or ``fixed``; when None, floating for bundled robots and fixed for others.
+        root: ``floating``, ``planar``, ``differential`` (a planar one that cannot slide) or ``fixed``; when
+            None, floating for bundled robots and fixed for others.
         tool_distance_m: distance of the bundled robots' tool frames from the hand frame [m], default 0.12.
         hand: of the bundled robots, ``hook`` or ``gripper``, default ``hook``.
         locked_joints: position by name of joints that become fixed [rad or m].
@@ -81,8 +82,8 @@ def load_robot(
     """
     if (name is None) == (urdf is None):
         raise RobotError("give either the name of a bundled robot or a urdf, not both")
-    if root not in (None, "floating", "planar", "fixed"):
-        raise RobotError(f"root '{root}' is not known; expected floating, planar or fixed")
+    if root not in (None, "floating", "planar", "differential", "fixed"):
+        raise RobotError(f"root '{root}' is not known; expected floating, planar, differential or fixed")
     locked = dict(locked_joints or {})
     if urdf is not None:
         if tool_distance_m is not None:
@@ -96,8 +97,8 @@ def load_robot(
         raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
     if srdf is not None or package_dirs or drawn_links or split:
         raise RobotError(f"srdf, package_dirs, drawn_links and split go with a urdf; '{name}' brings its own")
-    if root == "planar":
-        raise RobotError("root planar goes with a urdf, not with the name of a bundled robot")
+    if root in ("planar", "differential"):
+        raise RobotError(f"root {root} goes with a urdf, not with the name of a bundled robot")
     if hand not in (None, "hook", "gripper"):
         raise RobotError(f"hand '{hand}' is not known; expected hook or gripper")
     if hand == "gripper" and tool_distance_m is not None:

@@ -35,7 +35,8 @@ def robots_command(
         list[Path] | None, typer.Option(help="Folder that package:// starts in; repeatable.", metavar="FOLDER")
     ] = None,
     root: Annotated[
-        str | None, typer.Option(help="Base: floating, planar or fixed, by default fixed for a URDF.", metavar="ROOT")
+        str | None,
+        typer.Option(help="Base: floating, planar, differential or fixed (a URDF's default).", metavar="ROOT"),
     ] = None,
     write_srdf: Annotated[
         Path | None, typer.Option(help="With check: write an SRDF that leaves out the pairs.", metavar="FILE")

@@ -21,6 +21,7 @@ class RootJoint(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ROOT_JOINT_FLOATING: _ClassVar[RootJoint]
     ROOT_JOINT_FIXED: _ClassVar[RootJoint]
     ROOT_JOINT_PLANAR: _ClassVar[RootJoint]
+    ROOT_JOINT_DIFFERENTIAL: _ClassVar[RootJoint]
 
 class FreeAxis(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -218,6 +219,7 @@ ROOT_JOINT_UNSPECIFIED: RootJoint
 ROOT_JOINT_FLOATING: RootJoint
 ROOT_JOINT_FIXED: RootJoint
 ROOT_JOINT_PLANAR: RootJoint
+ROOT_JOINT_DIFFERENTIAL: RootJoint
 FREE_AXIS_UNSPECIFIED: FreeAxis
 FREE_AXIS_NONE: FreeAxis
 FREE_AXIS_X: FreeAxis
