@@ -22,8 +22,10 @@ from costs.robot.mechanism_urdf import (
     read_mechanism,
     read_mesh_hulls,
 )
+from costs.robot.mesh import Mesh as Triangles
 from costs.robot.mesh import find_package_folders
 from costs.robot.mesh import read_mesh as read_triangles
+from costs.robot.mesh.split import LinkSplit
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
@@ -40,6 +42,7 @@ __all__ = [
     "LinkBody",
     "LinkInertia",
     "LinkPlace",
+    "LinkSplit",
     "Mechanism",
     "MechanismJoint",
     "PatchData",
@@ -51,6 +54,7 @@ __all__ = [
     "RobotSource",
     "Root",
     "StillShape",
+    "Triangles",
     "UrdfMechanism",
     "VisualMesh",
     "bundled_contacts",

@@ -12,9 +12,11 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
+from lxml import etree
 
 from costs.primitive import make_round_shape
 from costs.robot import shapes
+from costs.robot.elements.bases import ROLLS
 from costs.robot.elements.joints import Joint
 from costs.robot.elements.shapes import LONG_M, Shape
 from costs.robot.errors import RobotError
@@ -27,6 +29,9 @@ from costs.robot.mesh.hull import (
     make_outer_hull,
     thicken_flat_points,
 )
+from costs.robot.mesh.kept import find_kept_folder
+from costs.robot.mesh.split import LinkSplit
+from costs.robot.mjcf.source import is_mjcf
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotModel, RobotSource
 from costs.robot.self_pairs import derive_ignored_pairs, find_same_joint_pairs
 from costs.robot.srdf import EMPTY, Srdf, parse_srdf
@@ -36,7 +41,7 @@ from costs.robot.xmlfile import read_xml_text
 DEFAULT_ACCELERATION = 10.0
 PACKAGE_SCHEMES = ("package://", "model://")
 STILL = 1e-6  # range that counts as none [rad, m]
-Root = Literal["floating", "planar", "fixed"]
+Root = Literal["floating", "planar", "differential", "fixed"]
 
 
 def load_files(
@@ -46,11 +51,19 @@ def load_files(
     root: Root,
     locked_joints: Mapping[str, float],
     drawn_links: Sequence[str] = (),
+    split: LinkSplit | None = None,
 ) -> RobotModel:
-    """Load a robot from a URDF and, if given, an SRDF; see ``costs.robot.load_robot``."""
+    """Load a robot from a URDF or MJCF and, if given, an SRDF; see ``costs.robot.load_robot``."""
     roots = tuple(Path(folder) for folder in package_dirs) or (urdf.parent,)
     srdf_text = "" if srdf is None else read_xml_text(srdf)
-    return build_robot(read_xml_text(urdf), srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links)
+    text, notes = read_xml_text(urdf), ()
+    if is_mjcf(text):
+        from costs.robot.mjcf.convert import rewrite_mjcf  # few robots are models of MuJoCo
+
+        rewritten = rewrite_mjcf(text, urdf, roots)
+        text, notes, roots = rewritten.urdf, rewritten.notes, (*roots, rewritten.folder)
+        srdf_text = srdf_text or rewritten.srdf
+    return build_robot(text, srdf_text, roots, root, locked_joints, str(urdf), str(srdf), drawn_links, notes, split)
 
 
 def build_robot(
@@ -62,13 +75,30 @@ def build_robot(
     urdf_where: str,
     srdf_where: str,
     drawn_links: Sequence[str] = (),
+    notes_before: Sequence[str] = (),
+    split: LinkSplit | None = None,
 ) -> RobotModel:
-    """Build a robot from the texts of its files; ``*_where`` name them in messages."""
-    urdf = parse_urdf(urdf_source, urdf_where, locked_joints, drawn_links, is_planar=root == "planar")
+    """Build a robot from the texts of its files; ``*_where`` name them in messages, ``notes_before`` come first."""
+    whole_roots = roots
+
+    def change(elements: Mapping[str, etree._Element], notes: list[str]) -> None:
+        if split is not None:
+            split.apply(elements, whole_roots, urdf_where, notes)
+
+    urdf = parse_urdf(
+        urdf_source,
+        urdf_where,
+        locked_joints,
+        drawn_links,
+        is_planar=root in ("planar", "differential"),
+        rolls=root == "differential",
+        change=change,
+    )
+    roots = roots if split is None else (*roots, find_kept_folder())
     srdf = parse_srdf(srdf_source, srdf_where, urdf) if srdf_source else EMPTY
     model = build_pinocchio_model(urdf, root, urdf_where)
     names = _name_coordinates(model, urdf_where)
-    notes = [*urdf.notes, *srdf.notes]
+    notes = [*notes_before, *urdf.notes, *srdf.notes]
     if srdf.is_planar and root == "fixed" and PLANAR_NAMES[0] not in names:
         notes.append(f"the SRDF's joint '{srdf.virtual_joint}' is planar; `robot.root: planar` lets the base move")
     limits = _collect_limits(urdf, names, notes)
@@ -109,6 +139,7 @@ def build_robot(
         contacts={},
         hands={},
         notes=merge_notes(notes),
+        rolls=any(element.get(ROLLS) is not None for element in urdf.tree.findall("joint")),
     )
 
 
@@ -130,7 +161,7 @@ def build_pinocchio_model(urdf: Urdf, root: Root, where: str) -> pin.Model:
         count = ", ".join(f"{number} {kind}" for kind, number in kinds.items()) or "none"
         raise RobotError(
             f"{where}: no joint moves (joints: {count}); a robot has at least one that does, or a base that robot.root "
-            "makes planar or floating"
+            "makes planar, differential or floating"
         )
     model = let_follow(model, {j.name: j.mimic for j in urdf.joints.values() if j.mimic is not None}, where)
     for frame in model.frames:

@@ -105,6 +105,7 @@ class RobotModel:
         contacts: patches by name that may carry force, on the surfaces of the bodies (``costs.robot.contact_patches``).
         hands: by side (``left``, ``right``); empty where nothing names them.
         notes: what the files leave open or state in an unusual way, and how it was read.
+        rolls: whether the planar base stands on two wheels: it turns and drives ahead or back, but never sideways.
     """
 
     name: str
@@ -128,6 +129,7 @@ class RobotModel:
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     hands: Mapping[str, RobotHand] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    rolls: bool = False
 
     @property
     def is_planar(self) -> bool:

@@ -11,6 +11,7 @@ from costs.robot.atlas import load_atlas, load_contacts
 from costs.robot.atlas.description import HandKind
 from costs.robot.errors import RobotError
 from costs.robot.load import Root, load_files
+from costs.robot.mesh.split import LinkSplit
 from costs.robot.mesh.visual import VisualMesh, read_visuals
 from costs.robot.model import RobotModel
 from costs.robot.urdf import parse_urdf
@@ -59,6 +60,7 @@ def load_robot(
     hand: HandKind | None = None,
     locked_joints: Mapping[str, float] | None = None,
     drawn_links: Sequence[str] = (),
+    split: LinkSplit | None = None,
 ) -> RobotModel:
     """Load a bundled robot by name, or any robot by its URDF.
 
@@ -67,19 +69,21 @@ def load_robot(
         urdf, srdf: files of another robot.
         package_dirs: folders that ``package://`` and relative mesh paths are looked for in, and the only ones meshes
             are read from; the URDF's own folder when empty.
-        root: ``floating``, ``planar`` or ``fixed``; when None, floating for bundled robots and fixed for others.
+        root: ``floating``, ``planar``, ``differential`` (a planar one that cannot slide) or ``fixed``; when
+            None, floating for bundled robots and fixed for others.
         tool_distance_m: distance of the bundled robots' tool frames from the hand frame [m], default 0.12.
         hand: of the bundled robots, ``hook`` or ``gripper``, default ``hook``.
         locked_joints: position by name of joints that become fixed [rad or m].
         drawn_links: links of the URDF without a collision shape that get their drawn shapes as such.
+        split: links of the URDF whose collision meshes are split into convex parts.
 
     Raises:
         RobotError: one line that names the file, element and value that cannot be used.
     """
     if (name is None) == (urdf is None):
         raise RobotError("give either the name of a bundled robot or a urdf, not both")
-    if root not in (None, "floating", "planar", "fixed"):
-        raise RobotError(f"root '{root}' is not known; expected floating, planar or fixed")
+    if root not in (None, "floating", "planar", "differential", "fixed"):
+        raise RobotError(f"root '{root}' is not known; expected floating, planar, differential or fixed")
     locked = dict(locked_joints or {})
     if urdf is not None:
         if tool_distance_m is not None:
@@ -87,14 +91,14 @@ def load_robot(
         if hand is not None:
             raise RobotError("hand belongs to bundled robots; with a urdf, put the hand into it")
         return load_files(
-            Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked, drawn_links
+            Path(urdf), None if srdf is None else Path(srdf), package_dirs, root or "fixed", locked, drawn_links, split
         )
     if name not in _BUNDLED:
         raise RobotError(f"unknown robot '{name}'; expected {would_do(name, _BUNDLED)}")
-    if srdf is not None or package_dirs or drawn_links:
-        raise RobotError(f"srdf, package_dirs and drawn_links go with a urdf; '{name}' brings its own")
-    if root == "planar":
-        raise RobotError("root planar goes with a urdf, not with the name of a bundled robot")
+    if srdf is not None or package_dirs or drawn_links or split:
+        raise RobotError(f"srdf, package_dirs, drawn_links and split go with a urdf; '{name}' brings its own")
+    if root in ("planar", "differential"):
+        raise RobotError(f"root {root} goes with a urdf, not with the name of a bundled robot")
     if hand not in (None, "hook", "gripper"):
         raise RobotError(f"hand '{hand}' is not known; expected hook or gripper")
     if hand == "gripper" and tool_distance_m is not None:

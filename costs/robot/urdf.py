@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePath
 
@@ -67,12 +67,15 @@ def parse_urdf(
     *,
     is_robot: bool = True,
     is_planar: bool = False,
+    rolls: bool = False,
+    change: Callable[[Mapping[str, etree._Element], list[str]], None] | None = None,
 ) -> Urdf:
     """Read and check a URDF; ``locked_joints`` become fixed at the given position [rad or m].
 
     The drawn shapes of ``drawn_links`` that have no collision shape become collision shapes.  A robot may have planar
     and floating joints as its base, an object or mechanism may not.  With ``is_planar`` its root link gets a planar
-    base.
+    base, which ``rolls`` if it cannot slide sideways.  ``change`` may change the shapes of the <link> elements, which
+    it gets by name with the notes.
 
     Raises:
         RobotError: for anything pinocchio would crash on, load from elsewhere or misread in silence.
@@ -86,7 +89,7 @@ def parse_urdf(
         notes.append(f"the file does not name the robot; it is called '{name}'")
     if is_robot:
         if is_planar:
-            put_on_plane(tree, where, notes)
+            put_on_plane(tree, where, notes, rolls=rolls)
         expand_bases(tree, where, notes)
     link_elements = tree.findall("link")
     if not link_elements:
@@ -98,6 +101,8 @@ def parse_urdf(
     _refuse_repeated(where, "link", link_names)
     _refuse_repeated(where, "joint", joint_names)
     _take_drawn_shapes(dict(zip(link_names, link_elements, strict=True)), drawn_links, where)
+    if change is not None:
+        change(dict(zip(link_names, link_elements, strict=True)), notes)
     joints = {}
     for element in tree.findall("joint"):
         joint = parse_joint(element, where, notes, is_robot=is_robot)

@@ -12,6 +12,7 @@ from costs.terms.on_guide import OnGuide
 from costs.terms.pair_clearance import ClearancePerPair, PairClearance, RequiredClearance
 from costs.terms.pose import AxisDirection, FramePose, PointHalfSpace
 from costs.terms.region import BeyondBall, BeyondBox, LookAt
+from costs.terms.rolling import RollingBase
 from costs.terms.wrappers import (
     Between,
     Joined,
@@ -54,6 +55,7 @@ __all__ = [
     "PointHalfSpace",
     "Positive",
     "RequiredClearance",
+    "RollingBase",
     "Room",
     "Scaled",
     "StaticTorque",

@@ -57,16 +57,19 @@ def linearize_holds(
 
 
 def project_onto_holds(
-    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "S n"],
+    holds: Sequence[Hold],
+    fixed: Bool[np.ndarray, "n"] | None = None,
 ) -> Float[np.ndarray, "S n"]:
     """Return the nearest configurations that keep the holds (Gauss-Newton with least-norm steps).
 
-    The joints of a mechanism stay where they are: the robot follows them.
+    Coordinates that are ``fixed``, by default the joints of a mechanism, stay where they are: the others follow them.
     """
     poll()
     if not holds or not len(q):
         return q
-    prescribed = find_prescribed(engine.robot)
+    prescribed = find_prescribed(engine.robot) if fixed is None else fixed
     for _ in range(PROJECTION_STEPS):
         value, jacobian = linearize_holds(engine, q, holds)
         if np.abs(value).max() < PROJECTION_TOLERANCE:

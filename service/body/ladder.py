@@ -33,6 +33,7 @@ Attempts = Iterator[tuple[str, Iterable[Solved]]]
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 8, 16
 WAYPOINT_STEP = 0.15  # of the joint that moves most, between waypoints [rad, m]
 MOST_NARROW = 400  # waypoints of a path with little clearance
+MOST_EMPTY = 30  # rounds in which no start has a path; the trees of later ones are no larger
 MOST_HELD = 40  # waypoints of a sampled path of a robot that keeps its holds
 DENSER = 3  # times the waypoints of a path that was not solved
 TIGHTENINGS = 3
@@ -160,10 +161,15 @@ def _walk(search: MotionSearch) -> Iterator[tuple[str, Solved, bool]]:
     """Yield name, solution and whether it is a restoration of the one before."""
     monitor = search.solver.monitor
     reserve = min(RESERVE_S, RESERVE_SHARE * monitor.time_limit_s)
+    last_tried = 0
     for number, start in search.policy.list_starts():
         if number == 1 and next(search.ends.find(End.FIRST, 0), None) is None:
             return
-        yield from _try(search, start, number)
+        if number > last_tried + MOST_EMPTY:
+            return
+        for attempt in _try(search, start, number):
+            last_tried = number
+            yield attempt
         if number and monitor.remaining_s() < reserve:
             return
 

@@ -20,6 +20,7 @@ from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem
+from service.body.rolling import roll_path
 from service.body.sampling import (
     HeldProblem,
     SamplingProblem,
@@ -134,6 +135,8 @@ class PhaseSolver:
             balanced: waypoints with a balance constraint; all if not given.
             regions: where the loaded feet hold the robot, instead of their hull.
         """
+        if self.body.robot.rolls:
+            start = roll_path(start)
         lower, upper = self.body.bounds(len(start), fixed)
         if bounds is not None:
             bounds(lower, upper)

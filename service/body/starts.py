@@ -65,7 +65,7 @@ class Start:
         """Return the start with other draws of its tree, if it has one, and more of them."""
         if self.tree is None:
             return self
-        checks = min(int(growth * self.tree.most_checks), MOST_CHECKS)
+        checks = int(min(growth * self.tree.most_checks, MOST_CHECKS))
         return replace(self, tree=replace(self.tree, seed=seed, most_checks=checks))
 
 

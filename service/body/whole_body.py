@@ -30,9 +30,11 @@ from costs.terms import (
     ContactPlace,
     FramePose,
     Joined,
+    RollingBase,
     Room,
     SweptClearance,
 )
+from costs.terms.rolling import FEWEST_INTERVALS
 from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.comfort import keep_balanced, keep_in_region, keep_upright, smooth_joints
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
@@ -45,6 +47,7 @@ from service.verify import PlantedContact
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
+ROLLING_TOLERANCE = 1e-5  # per row [m, rad]; the curve is made without these errors
 CLEARANCE_TERMS = ("collision", "self-collision")
 CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
@@ -357,6 +360,9 @@ class WholeBody:
             )
             for foot in self.planted
         ]
+        if self.robot.rolls and n_waypoints > FEWEST_INTERVALS:
+            rolling = RollingBase(n_waypoints)
+            standing.append(Constraint("rolling base", rolling, Sense.EQUAL_ZERO, ROLLING_TOLERANCE, unit="m or rad"))
         standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.region is not None and not regions:
             regions = (replace(self.region, first=0, last=n_waypoints - 1),)

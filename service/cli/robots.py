@@ -26,7 +26,7 @@ def robots_command(
     robot: Annotated[
         list[str] | None,
         typer.Argument(
-            help="A bundled robot or a URDF file to describe; 'check URDF' looks for links that overlap at rest.",
+            help="A bundled robot, or a URDF or MJCF file to describe; 'check URDF' finds links that overlap at rest.",
             metavar="[check] NAME_OR_URDF",
         ),
     ] = None,
@@ -35,24 +35,25 @@ def robots_command(
         list[Path] | None, typer.Option(help="Folder that package:// starts in; repeatable.", metavar="FOLDER")
     ] = None,
     root: Annotated[
-        str | None, typer.Option(help="Base: floating, planar or fixed, by default fixed for a URDF.", metavar="ROOT")
+        str | None,
+        typer.Option(help="Base: floating, planar, differential or fixed (a URDF's default).", metavar="ROOT"),
     ] = None,
     write_srdf: Annotated[
         Path | None, typer.Option(help="With check: write an SRDF that leaves out the pairs.", metavar="FILE")
     ] = None,
     decompose: Annotated[
         list[str] | None,
-        typer.Option(help="With --out: link whose meshes are split into convex parts; repeatable.", metavar="LINK"),
+        typer.Option(help="Link whose meshes are split into convex parts; repeatable.", metavar="LINK"),
     ] = None,
     out_folder: Annotated[
-        Path | None, typer.Option("--out", help="With --decompose: folder for the URDF and its meshes.")
+        Path | None, typer.Option("--out", help="New folder that gets the robot as it was read: URDF, SRDF, meshes.")
     ] = None,
     as_json: Json = False,
 ) -> None:
     """List the bundled robots, or what a robot has: joints with limits, links with shapes, groups and postures.
 
     With 'check', list the link pairs that are not checked against each other and those that overlap at rest. With
-    --decompose, write the robot with convex parts in place of concave meshes, whose hulls fill their hollows.
+    --decompose, links have convex parts in place of concave meshes, whose hulls fill their hollows.
     """
     words = list(robot or ())
     is_check = words[:1] == [CHECK]
@@ -61,15 +62,17 @@ def robots_command(
         raise typer.BadParameter(f"expected {'check and ' if is_check else ''}one robot, got {len(words)}")
     if write_srdf is not None and not is_check:
         raise typer.BadParameter("--write-srdf goes with: scopt robots check NAME_OR_URDF")
-    if bool(decompose) != (out_folder is not None) or (decompose and (is_check or not words)):
-        raise typer.BadParameter("--decompose LINK and --out FOLDER come together, with a URDF and without check")
+    if (decompose or out_folder is not None) and not words:
+        raise typer.BadParameter("--decompose LINK and --out FOLDER go with a robot file")
+    if is_check and out_folder is not None:
+        raise typer.BadParameter("--out FOLDER goes without check")
     out = consoles()[0]
     if not words:
         _list_bundled(out, as_json)
         return
-    model = _load(words[0], srdf, package_dir or [], root)
-    if decompose and out_folder is not None:
-        _decompose(out, model, decompose, out_folder, as_json)
+    model = _load(words[0], srdf, package_dir or [], root, decompose or [])
+    if out_folder is not None:
+        _write(out, model, out_folder, as_json)
         return
     if is_check:
         _check(out, model, write_srdf, as_json)
@@ -83,23 +86,31 @@ def robots_command(
         _print_robot(out, described)
 
 
-def _decompose(out: Console, model: RobotModel, links: list[str], folder: Path, as_json: bool) -> None:
-    from service.scan.split_links import URDF_NAME, write_split_robot
+def _write(out: Console, model: RobotModel, folder: Path, as_json: bool) -> None:
+    """Write a robot to a new folder, and print how a request names it."""
+    from service.errors import RequestError, ResultError
+    from service.result.output import URDF_NAME, write_robot
 
-    parts = write_split_robot(model, links, folder)
+    try:
+        write_robot(model, folder)
+    except FileExistsError:
+        raise RequestError(f"--out: {folder} is there already; expected a new folder") from None
+    except (OSError, ResultError) as error:
+        raise RequestError(f"--out: {folder} cannot be written ({getattr(error, 'strerror', None) or error})") from None
+    counts = {body.link: sum(other.link == body.link for other in model.bodies) for body in model.bodies}
     if as_json:
-        print_json({"urdf": str(folder / URDF_NAME), "parts": parts})
+        print_json({"urdf": str(folder / URDF_NAME), "parts": counts})
         return
-    print_table(out, ("link", "convex parts"), [(link, str(count)) for link, count in parts.items()])
+    print_table(out, ("link", "convex parts"), [(link, str(count)) for link, count in counts.items()])
     out.print(f"robot: {{urdf: {folder / URDF_NAME}, package_dirs: [{folder}]}}", markup=False, soft_wrap=True)
 
 
-def _load(name: str, srdf: Path | None, package_dirs: list[Path], root: str | None) -> RobotModel:
+def _load(name: str, srdf: Path | None, package_dirs: list[Path], root: str | None, decompose: list[str]) -> RobotModel:
     """Load a robot (RequestError if it cannot be loaded)."""
     from service.request.file import parse_request
     from service.start.robot import load_requested_robot
 
-    is_file = name.endswith((".urdf", ".xml", ".xacro")) or "/" in name or Path(name).is_file()
+    is_file = name.endswith((".urdf", ".xml", ".mjcf", ".xacro")) or "/" in name or Path(name).is_file()
     data: dict[str, Any] = {"urdf": str(Path(name).absolute())} if is_file else {"name": name}
     if srdf is not None:
         data["srdf"] = str(srdf.absolute())
@@ -107,6 +118,8 @@ def _load(name: str, srdf: Path | None, package_dirs: list[Path], root: str | No
         data["package_dirs"] = [str(folder.absolute()) for folder in package_dirs]
     if root is not None:
         data["root"] = root
+    if decompose:
+        data["decompose"] = decompose
     request = parse_request({"robot": data, "goal": {"joints": {"any": 0.0}}}, folder=Path.cwd())
     return load_requested_robot(request, finds_package=True)
 
@@ -137,8 +150,8 @@ def _check(out: Console, model: RobotModel, write_srdf: Path | None, as_json: bo
         print_table(out, ("link", "link", "overlap in the posture", "depth"), shown)
         out.print(
             "\nA start in such a posture is refused. An SRDF may leave the pairs out (disable_collisions); the "
-            "certificate then says what it does not cover. Where a link's mesh is concave, --decompose LINK --out "
-            "FOLDER writes the robot with convex parts in its place."
+            "certificate then says what it does not cover. Where a link's mesh is concave, robot.decompose: [LINK] "
+            "in a request takes convex parts in its place, and --decompose LINK shows here what remains."
         )
     else:
         out.print("No links overlap at rest.")

@@ -15,12 +15,12 @@ from costs.stopping import poll
 from service.body.holds import (
     DRIFT,
     Hold,
-    find_prescribed,
     largest_hold_error,
     least_norm_step,
     linearize_holds,
     project_onto_holds,
 )
+from service.body.rolling import find_led, stop_between, straighten
 from service.body.task_plan import KeptCurve
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
@@ -89,6 +89,7 @@ def make_spline(
     refined: list[PhasePath] = []
     tangents: list[np.ndarray] = []
     knots: list[np.ndarray] = []
+    led = find_led(engine.robot)
     for index, path in enumerate(paths):
         first = refined[-1].q[-1] if index else path.q[0]
         if path.kept is not None:
@@ -101,7 +102,9 @@ def make_spline(
         q = np.array(path.q)
         q[0] = first
         is_original = np.ones(len(q), dtype=bool)
-        q[1:] = project_onto_holds(engine, q[1:], path.holds)
+        if engine.robot.rolls:
+            q = straighten(q)
+        q[1:] = project_onto_holds(engine, q[1:], path.holds, led)
         for _ in range(MAX_INSERTIONS):
             s = _parametrise(q, speed)
             v = _compute_tangents(engine, q, s, path.holds, lower, upper, is_smooth=is_smooth)
@@ -111,7 +114,7 @@ def make_spline(
             drifting = np.flatnonzero(errors.max(axis=0) > path.drift)
             if not len(drifting):
                 break
-            inserted = project_onto_holds(engine, curve(0.5 * (s[1:] + s[:-1])[drifting]), path.holds)
+            inserted = project_onto_holds(engine, curve(0.5 * (s[1:] + s[:-1])[drifting]), path.holds, led)
             q = np.insert(q, drifting + 1, inserted, axis=0)
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parametrise(q, speed)
@@ -172,6 +175,8 @@ def _compute_tangents(
         tangents[1:-1] = _solve_smooth(h[:, 0], 3.0 * mean) if is_smooth else mean / width
     least, most = _tangent_limits(q, h, lower, upper)
     tangents = np.clip(tangents, least, most)
+    if engine.robot.rolls:
+        tangents = stop_between(q, tangents)
     tangents[1:-1] = _project_tangents(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
     return np.asarray(tangents)
 
@@ -219,7 +224,8 @@ def _project_tangents(
     if not holds or not len(q):
         return v
     _, jacobian = linearize_holds(engine, q, holds)
-    at_limit = np.tile(find_prescribed(engine.robot), (len(v), 1))
+    led = find_led(engine.robot)
+    at_limit = np.tile(led, (len(v), 1))
     for _ in range(LIMIT_ROUNDS):
         free = np.where(at_limit[:, None, :], 0.0, jacobian)
         v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
@@ -228,7 +234,7 @@ def _project_tangents(
             return v
         at_limit |= beyond
         v = np.clip(v, least, most)
-    free = np.where(find_prescribed(engine.robot), 0.0, jacobian)
+    free = np.where(led, 0.0, jacobian)
     v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
     beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
     share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)

@@ -53,20 +53,21 @@ class RobotRequest(Section):
     """Robot: bundled (``name``), or read from ``urdf`` (with ``srdf``, ``package_dirs``).
 
     ``root`` is the joint of the base (by default floating for a bundled robot, else fixed; a planar one moves on the
-    ground); ``tool_distance_m`` is the distance of the bundled robot's hook from the hand's origin; ``hand`` is what
-    the bundled robot has on its hands.
+    ground, a differential one without sliding sideways); ``tool_distance_m`` is the distance of the bundled robot's
+    hook from the hand's origin; ``hand`` is what the bundled robot has on its hands.
     ``contacts`` are patches by name that may carry force, besides those of a bundled robot or in their place; ``hands``
     the hands of a robot that hold mechanisms. ``servo`` is the stiffness of its joints' servos, from which the expected
     sag of the centre of mass follows. ``locked`` joints are fixed at a position [rad, m]. ``torque`` says which torques
     are compared with the joints' limits, by default all. ``drawn_links`` are links of the URDF without a collision
-    shape that get their drawn shapes as such.
+    shape that get their drawn shapes as such; ``decompose`` are links of the URDF whose collision meshes are split
+    into convex parts.
     """
 
     name: Label | None = None
     urdf: FilePath | None = None
     srdf: FilePath | None = None
     package_dirs: Annotated[tuple[FilePath, ...], at_most(20)] = ()
-    root: Literal["floating", "planar", "fixed"] | None = None
+    root: Literal["floating", "planar", "differential", "fixed"] | None = None
     tool_distance_m: Annotated[Number, Field(ge=0.07, le=0.6)] | None = None
     contacts: Annotated[dict[Label, ContactPatchRequest], at_most(100)] = field(default_factory=dict)
     hand: Literal["hook", "gripper"] | None = None
@@ -75,17 +76,22 @@ class RobotRequest(Section):
     locked: Joints = field(default_factory=dict)
     torque: RobotTorqueRequest | None = None
     drawn_links: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
+    decompose: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("name", "urdf"))
+        if self.name is not None and self.decompose:
+            raise PydanticCustomError("robot", "decompose belongs to a robot given by urdf, not by name")
         if self.name is not None and self.drawn_links:
             raise PydanticCustomError("robot", "drawn_links belong to a robot given by urdf, not by name")
         if self.name is not None and (self.srdf or self.package_dirs):
             raise PydanticCustomError("robot", "srdf and package_dirs belong to a robot given by urdf, not by name")
         if self.urdf is not None and self.tool_distance_m is not None:
             raise PydanticCustomError("robot", "tool_distance_m belongs to a bundled robot given by name, not by urdf")
-        if self.name is not None and self.root == "planar":
-            raise PydanticCustomError("robot", "root planar belongs to a robot given by urdf, not by name")
+        if self.name is not None and self.root in ("planar", "differential"):
+            raise PydanticCustomError(
+                "robot", "root {root} belongs to a robot given by urdf, not by name", {"root": self.root}
+            )
         if self.urdf is not None and self.hand is not None:
             raise PydanticCustomError("robot", "hand belongs to a bundled robot given by name, not by urdf")
         if self.hand == "gripper" and self.tool_distance_m is not None:

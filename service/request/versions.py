@@ -85,6 +85,7 @@ ADDED = {
         "PoseGoalRequest.region",
         "PoseGoalRequest.relative_to",
         "RobotHandRequest.fingers",
+        "RobotRequest.decompose",
         "SceneRequest.objects",
         "SceneRequest.level",
         "SceneRequest.sensor_model",

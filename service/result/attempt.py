@@ -11,6 +11,7 @@ from service.explain.conflict import Conflict
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings
+from service.start.split_links import suggest_split
 from service.verify import Basis, Certificate, Motion, Status
 
 MOST_SHORTFALLS = 3  # of a certificate that are named where a plan ends early
@@ -99,6 +100,8 @@ class Attempt:
     def to_result(self, setup: PlanSetup, timings: dict[str, float]) -> PlanResult:
         """Return the attempt as the plan's result."""
         task = self.task
+        meeting = () if self.certificate is None else sorted(self.certificate.list_meeting())
+        hulls = suggest_split(setup.robot, setup.request.robot.decompose, (link for pair in meeting for link in pair))
         return PlanResult(
             request=setup.request,
             verdict=self.verdict,
@@ -109,7 +112,7 @@ class Attempt:
             certificate=self.certificate,
             unsolved=() if task is None else tuple(phase.name for phase in task.phases if not phase.is_feasible),
             task_phases=() if task is None or task.stuck is None else task.stuck.order,
-            explanation=self.explanation,
+            explanation=(*self.explanation, *hulls),
             conflict=self.conflict,
             found_from="" if task is None else task.found_from,
             notes=(*setup.notes, *(() if task is None else task.notes)),

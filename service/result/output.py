@@ -40,6 +40,8 @@ from service.viewer import (
     write_viewer,
 )
 
+URDF_NAME = "robot.urdf"  # in the folder of a robot
+
 
 def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
     """Write a result folder as a whole, also when interrupted; an earlier result is replaced.
@@ -54,7 +56,7 @@ def write_result(result: PlanResult, folder: str | Path) -> ResultFiles:
         with replace_folder(folder) as fresh:
             (fresh / RESULT_NAME).write_text(json.dumps(data, allow_nan=False), encoding="utf-8")
             _write_trajectory(result, data["trajectory"], fresh / TRAJECTORY_NAME)
-            _write_robot(result.robot, fresh / ROBOT_NAME)
+            write_robot(result.robot, fresh / ROBOT_NAME)
             draw_views(result.robot, result.motion, result.start, data, fresh)
             write_manifest(fresh, data)
     except OSError as error:
@@ -74,9 +76,10 @@ def _write_trajectory(result: PlanResult, trajectory: Mapping[str, Any], path: P
     np.savetxt(path, table, fmt="%.10g", delimiter=",", header=",".join(header), comments="")
 
 
-def _write_robot(robot: RobotModel, folder: Path) -> None:
-    folder.mkdir()
-    (folder / "robot.urdf").write_text(robot.source.urdf, encoding="utf-8")
+def write_robot(robot: RobotModel, folder: Path) -> None:
+    """Write a robot's URDF, SRDF and meshes to a new folder (OSError, ResultError: it cannot be written)."""
+    folder.mkdir(parents=True)
+    (folder / URDF_NAME).write_text(robot.source.urdf, encoding="utf-8")
     if robot.source.srdf:
         (folder / "robot.srdf").write_text(robot.source.srdf, encoding="utf-8")
     for name, source in robot.source.files.items():

@@ -27,6 +27,7 @@ from service.start.overlaps import (
     find_overlaps_and_unresolved,
 )
 from service.start.resting import find_rests
+from service.start.split_links import suggest_split
 from service.start.standing import (
     FEET_GROUP,
     FLOOR_KIND,
@@ -173,6 +174,8 @@ def check_start(
                 f"{robot.name} has no SRDF; if its links overlap at rest, `scopt robots check URDF --write-srdf FILE` "
                 "lists the pairs and writes an SRDF that leaves them out"
             )
+        touching = (name for o in inside for name in ((o.link, o.other) if o.kind is None else (o.link,)))
+        problems += suggest_split(robot, request.robot.decompose, touching)
         if inside and program is None and not any(dead_ends):
             problems.append("options.escape: false; true would plan a way out of the collision first")
     if problems and request.scene.file is not None:

@@ -26,6 +26,7 @@ from costs.rotation import pose_matrix
 from service.errors import RequestError, would_do
 from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
 from service.start.configuration import find_unknown_joints
+from service.start.split_links import split_links
 
 
 def load_requested_robot(request: PlanRequest, *, finds_package: bool = False) -> RobotModel:
@@ -60,6 +61,7 @@ def load_requested_robot(request: PlanRequest, *, finds_package: bool = False) -
                 root=robot.root,
                 locked_joints=robot.locked,
                 drawn_links=robot.drawn_links,
+                split=split_links(robot.decompose),
             )
     except RobotError as error:
         raise RequestError(f"robot: {error}") from None

@@ -26,7 +26,7 @@ def describe_robot(robot: RobotModel) -> dict[str, Any]:
     first = 6 if robot.is_floating else 0
     return {
         "name": robot.name,
-        "base": "floating" if robot.is_floating else "planar" if robot.is_planar else "fixed",
+        "base": _name_base(robot),
         "mass_kg": float(pin.computeTotalMass(model)),
         "joints": [_describe_joint(robot, column) for column in range(first, robot.n)],
         "followers": _list_followers(robot),
@@ -40,6 +40,13 @@ def describe_robot(robot: RobotModel) -> dict[str, Any]:
         "ignored_pairs": dict(Counter(reason.split(" ")[0] for reason in robot.ignored_reasons.values())),
         "notes": list(robot.notes),
     }
+
+
+def _name_base(robot: RobotModel) -> str:
+    """Return how the base moves, as ``robot.root`` of a request says it."""
+    if robot.is_floating or not robot.is_planar:
+        return "floating" if robot.is_floating else "fixed"
+    return "differential" if robot.rolls else "planar"
 
 
 def _describe_joint(robot: RobotModel, column: int) -> dict[str, Any]:

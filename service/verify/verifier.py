@@ -28,6 +28,7 @@ from service.verify.limits import check_positions, check_timing
 from service.verify.mechanism_checks import check_mechanism
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.rolling import check_rolling
 from service.verify.stance_checks import check_stance
 from service.verify.targets.checks import check_targets
 from service.verify.targets.swaying import check_swayed_reach
@@ -37,7 +38,9 @@ MotionCheck = Callable[[PreparedMotion, VerifySettings], Iterable[Check]]
 PhaseCheck = Callable[[PreparedMotion, Phase, VerifySettings], Iterable[Check]]
 
 # Checks of the whole motion, then of each phase, in the certificate's order; clearance and coverage follow.
-MOTION_CHECKS: tuple[MotionCheck, ...] = (check_positions, check_timing, check_frame_speeds, check_mechanism)
+MOTION_CHECKS: tuple[MotionCheck, ...] = (
+    check_positions, check_rolling, check_timing, check_frame_speeds, check_mechanism,
+)  # fmt: skip
 PHASE_CHECKS: tuple[PhaseCheck, ...] = (
     check_stance, check_targets, check_swayed_reach, check_hand_contacts, check_letting_go, check_ground,
     check_dynamics,

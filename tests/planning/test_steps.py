@@ -253,3 +253,23 @@ def test_a_plan_without_a_step_before_the_check_says_so() -> None:
     result = plan_steps([{"check": "is it there"}, MOVES[0]])
     assert result.verdict is Verdict.NOT_FOUND
     assert "nothing comes before step '1 check'" in result.explanation[0]
+
+
+def test_a_move_ends_in_a_region_or_looks_at_a_place() -> None:
+    region = {"x_min_m": 0.0, "x_max_m": 0.1, "z_min_m": 0.05}
+    pose = {"link": "r_hand", "position": [0.4, -0.3, 1.0], "position_tolerance_m": 0.5, "region": region}
+    result = plan_steps([{"move": {"poses": [pose]}}, {"move": {"by": {"translation": [0, 0, 0.03]}, "hand": "right"}}])
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    assert result.motion is not None
+    places, _ = trace(result.motion, "r_hand", phase_samples(result.motion, "1 move"))
+    assert 0.4 - 1e-3 <= places[-1, 0] <= 0.5 + 1e-3
+    assert places[-1, 2] >= 1.05 - 1e-3
+    assert any(check.name.startswith("region.1 move") for check in result.certificate.checks)  # type: ignore[union-attr]
+
+
+def test_a_region_on_a_line_and_one_of_an_unknown_frame_are_refused() -> None:
+    pose = {"link": "r_hand", "region": {"z_min_m": 1.0}}
+    with pytest.raises(RequestError, match="go with along: free"):
+        parse_request(request_of([{"move": {"poses": [pose], "along": "line"}}]))
+    with pytest.raises(RequestError, match=r"poses\[0\]\.relative_to"):
+        prepare(parse_request(request_of([{"move": {"poses": [{**pose, "relative_to": "r_hnd"}]}}])))

@@ -9,10 +9,12 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from costs.robot import load_robot
+from costs.robot import RobotModel
+from service import load_request, parse_request, plan, write_result
 from service.cli.app import app
 from service.errors import RequestError
-from service.scan.split_links import URDF_NAME, write_split_robot
+from service.replay.replay import verify_result
+from service.start.robot import load_requested_robot
 
 URDF = """<robot name="arm"><link name="base"/>
 <link name="grip"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -35,16 +37,25 @@ def urdf(tmp_path: Path) -> Path:
     return tmp_path / "arm.urdf"
 
 
-def _corners(robot_file: Path, folder: Path) -> list[np.ndarray]:
-    robot = load_robot(urdf=robot_file, package_dirs=(folder,))
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def _load(urdf: Path, **robot: object) -> RobotModel:
+    data = {"robot": {"urdf": urdf.name, **robot}, "goal": {"joints": {"turn": 0.5}}}
+    return load_requested_robot(parse_request(data, folder=urdf.parent))
+
+
+def _corners(robot: RobotModel) -> list[np.ndarray]:
     return [body.vertices for body in robot.bodies if body.link == "grip"]
 
 
-def test_the_parts_fill_the_mesh_and_leave_its_opening_free(urdf: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    parts = write_split_robot(load_robot(urdf=urdf, package_dirs=(tmp_path,)), ["grip"], out)
-    bodies, (whole,) = _corners(out / URDF_NAME, out), _corners(urdf, tmp_path)
-    assert len(bodies) == parts["grip"] >= 3
+def test_the_parts_fill_the_mesh_and_leave_its_opening_free(urdf: Path) -> None:
+    robot = _load(urdf, decompose=["grip"])
+    bodies, (whole,) = _corners(robot), _corners(_load(urdf))
+    assert len(bodies) >= 3
+    assert any("convex parts" in note for note in robot.notes)
     together = np.concatenate(bodies)
     assert np.allclose(together.min(axis=0), whole.min(axis=0), atol=2e-3)
     assert np.allclose(together.max(axis=0), whole.max(axis=0), atol=2e-3)
@@ -54,12 +65,50 @@ def test_the_parts_fill_the_mesh_and_leave_its_opening_free(urdf: Path, tmp_path
     assert not any(hull.contains(between).any() for hull in hulls)
 
 
-def test_links_without_a_mesh_and_half_of_the_options_are_refused(urdf: Path, tmp_path: Path) -> None:
-    robot = load_robot(urdf=urdf, package_dirs=(tmp_path,))
-    with pytest.raises(RequestError, match=r"--decompose: no link 'gripp'; .*grip"):
-        write_split_robot(robot, ["gripp"], tmp_path / "out")
-    with pytest.raises(RequestError, match="--decompose: base has no collision mesh"):
-        write_split_robot(robot, ["base"], tmp_path / "out")
-    alone = CliRunner().invoke(app, ["robots", str(urdf), "--decompose", "grip"])
-    assert alone.exit_code == 2
-    assert "come together" in alone.stderr
+def test_meshes_in_millimetres_are_split_as_those_in_metres(urdf: Path) -> None:
+    parts = len(_corners(_load(urdf, decompose=["grip"])))
+    mesh = trimesh.load(urdf.parent / "meshes" / "grip.stl")
+    mesh.apply_scale(1000.0)
+    mesh.export(urdf.parent / "meshes" / "grip.stl")
+    urdf.write_text(urdf.read_text().replace('scale="1 1 2"', 'scale="0.001 0.001 0.002"'))
+    assert len(_corners(_load(urdf, decompose=["grip"]))) == parts
+
+
+def test_a_start_whose_hulls_overlap_names_the_field_that_makes_it_possible(urdf: Path, tmp_path: Path) -> None:
+    pin = (
+        '<link name="rail"/><link name="pin"><collision><geometry><box size="0.01 0.01 0.01"/></geometry></collision>'
+        '</link><joint name="turn2" type="revolute"><parent link="base"/><child link="rail"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="9"/></joint>'
+        '<joint name="slide" type="prismatic"><parent link="rail"/><child link="pin"/><axis xyz="1 0 0"/>'
+        '<origin xyz="0.03 0 0"/><limit lower="-0.5" upper="0.005" velocity="1" effort="9"/></joint></robot>'
+    )
+    urdf.write_text(urdf.read_text().replace("</robot>", pin))
+    text = "robot: {urdf: arm.urdf}\nscene: {floor: false}\ngoal: {joints: {slide: 0.004}}\noptions: {timed: false}\n"
+    (tmp_path / "request.yaml").write_text(text)
+    with pytest.raises(RequestError, match=r"concave.*robot\.decompose: \[grip\]"):
+        plan(load_request(tmp_path / "request.yaml"))
+    (tmp_path / "request.yaml").write_text(text.replace("arm.urdf", "arm.urdf, decompose: [grip]"))
+    result = plan(load_request(tmp_path / "request.yaml"))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    write_result(result, tmp_path / "out")
+    assert verify_result(tmp_path / "out")["verdict"] == result.verdict.value
+    assert verify_result(tmp_path / "out", tmp_path / "request.yaml")["verdict"] == result.verdict.value
+
+
+def test_the_command_writes_the_robot_with_its_parts(urdf: Path, tmp_path: Path) -> None:
+    out = tmp_path / "split"
+    done = CliRunner().invoke(app, ["robots", str(urdf), "--decompose", "grip", "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert len(_corners(_load(out / "robot.urdf"))) == len(_corners(_load(urdf, decompose=["grip"])))
+    again = CliRunner().invoke(app, ["robots", str(urdf), "--decompose", "grip", "--out", str(out)])
+    assert again.exit_code != 0
+    assert "is there already" in " ".join(again.stderr.split())
+
+
+def test_links_without_a_mesh_are_refused(urdf: Path) -> None:
+    with pytest.raises(RequestError, match=r"decompose: unknown link 'gripp'; expected base, grip"):
+        _load(urdf, decompose=["gripp"])
+    with pytest.raises(RequestError, match="decompose: link 'base' has no collision mesh"):
+        _load(urdf, decompose=["base"])
+    with pytest.raises(RequestError, match="belongs to a robot given by urdf"):
+        parse_request({"robot": {"name": "atlas", "decompose": ["l_hand"]}, "goal": {"joints": {"l_arm_elx": 0.1}}})

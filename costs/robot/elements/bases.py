@@ -17,6 +17,7 @@ PLANAR_RANGE_M = 10.0
 PLANAR_VELOCITY = 1.0  # of a joint without limits [m/s, rad/s]
 PLANAR_ACCELERATION = 1.0  # [m/s^2, rad/s^2]
 PLANE_LINK = "base_plane"
+ROLLS = "rolls"  # attribute of the turning joint of a base that cannot slide sideways
 
 
 def expand_bases(tree: etree._Element, where: str, notes: list[str]) -> None:
@@ -37,10 +38,11 @@ def expand_bases(tree: etree._Element, where: str, notes: list[str]) -> None:
             _drop_floating(tree, joint, where, notes)
 
 
-def put_on_plane(tree: etree._Element, where: str, notes: list[str]) -> None:
+def put_on_plane(tree: etree._Element, where: str, notes: list[str], *, rolls: bool = False) -> None:
     """Let the robot's root link slide and turn on the world's ground plane, by joints of its own, in place.
 
-    The joints are ``base_x``, ``base_y`` and ``base_yaw``.  A tree without a single root is left as it is.
+    The joints are ``base_x``, ``base_y`` and ``base_yaw``; of a base that ``rolls`` on wheels the last one says so.  A
+    tree without a single root is left as it is.
 
     Raises:
         RobotError: the URDF itself has a planar joint at its root.
@@ -61,8 +63,11 @@ def put_on_plane(tree: etree._Element, where: str, notes: list[str]) -> None:
     etree.SubElement(made, "child", link=roots[0])
     etree.SubElement(made, "axis", xyz="0 0 1")
     _split_planar(tree, made, where, [])
+    if rolls:
+        next(joint for joint in tree.findall("joint") if joint.get("name") == PLANAR_NAMES[2]).set(ROLLS, "true")
+    kind, names = "differential" if rolls else "planar", ", ".join(PLANAR_NAMES)
     notes.append(
-        f"robot.root planar: {', '.join(PLANAR_NAMES)} move the base on the plane z = 0, within {PLANAR_RANGE_M:g} m, "
+        f"robot.root {kind}: {names} move the base on the plane z = 0, within {PLANAR_RANGE_M:g} m, "
         f"at most {PLANAR_VELOCITY:g} m/s and rad/s, {PLANAR_ACCELERATION:g} m/s^2 and rad/s^2"
     )
 

@@ -258,15 +258,18 @@ def _make_move(
 
 
 def _bring_level(pose: PoseGoalRequest, level: Company) -> PoseGoalRequest:
-    """Return the pose of a frame, at which what moves along with it is level if it is put down later."""
-    if not any(pose.link in group for group in level):
+    """Return the pose of a frame, at which what moves along with it is level if it is put down later.
+
+    A region has its own angles.
+    """
+    if not pose.is_plain or not any(pose.link in group for group in level):
         return pose
     return replace(pose, rotation_tolerance_deg=min(pose.rotation_tolerance_deg, LEVEL_DEG))
 
 
 def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalRequest:
-    """Return the pose of a carried object; one without orientation keeps the one that it has."""
-    if pose.quaternion_wxyz is not None:
+    """Return the pose of a carried object; one without orientation keeps the one that it has, unless it is a region."""
+    if pose.quaternion_wxyz is not None or not pose.is_plain:
         return pose
     w, x, y, z = Rotation.from_matrix(at[:3, :3]).as_quat(scalar_first=True).tolist()
     return replace(pose, quaternion_wxyz=(w, x, y, z))

@@ -33,6 +33,9 @@ def list_step_problems(start: Holding, step: StepRequest, field: str, request: P
             return
         for index, pose in enumerate(move.poses):
             yield from find_unknown_links(robot, (pose.link,), f"{field}.move.poses[{index}].link")
+            if pose.relative_to is not None:
+                where = f"{field}.move.poses[{index}].relative_to"
+                yield from find_unknown_links(robot, (pose.relative_to,), where)
     pieces = {obstacle.name for obstacle in request.scene.obstacles}
     where, wanted = _find_pieces(step)
     if request.scene.cloud is None and request.scene.file is None:

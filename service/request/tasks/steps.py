@@ -158,8 +158,8 @@ class MoveStep(Section):
             raise PydanticCustomError("move", "along: {along} needs joints or a posture", {"along": self.along})
         if self.speed_m_s is not None and self.along not in ("line", "arc"):
             raise PydanticCustomError("move", "speed_m_s goes with along: line or arc; expected a duration_s")
-        if not all(pose.is_plain for pose in self.poses):
-            raise PydanticCustomError("move", "region, relative_to and look_at belong to a goal")
+        if self.along != "free" and not all(pose.is_plain for pose in self.poses):
+            raise PydanticCustomError("move", "region, relative_to and look_at go with along: free, not {along}")
         twice = find_repeated(pose.link for pose in self.poses)
         if twice:
             raise PydanticCustomError("move", "link {link} has two poses; expected one", {"link": shown(twice[0])})

@@ -15,6 +15,7 @@ from service.verify.forces.frame_speeds import list_frame_speeds
 from service.verify.forces.hand_contacts import list_moving_joints
 from service.verify.ground import find_standing_contacts
 from service.verify.motion import Motion, Phase
+from service.verify.rolling import NAME as ROLLING
 from service.verify.targets.swaying import list_swayed_targets
 
 TIMING, BALANCE = "timing", "balance"
@@ -42,6 +43,7 @@ class RequiredChecks:
 def list_required_checks(motion: Motion, phases: Sequence[Phase]) -> RequiredChecks:
     """List the checks that a motion requires, phase by phase."""
     names, waived = ["limits.position", "clearance"], []
+    names += [ROLLING] if motion.robot.rolls else []
     names += [f"release.{release.joint}" for release in motion.releases]
     if motion.law is not None:
         names += ["limits.speed", "limits.acceleration", "limits.rest"]

@@ -21,6 +21,7 @@ class RootJoint(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ROOT_JOINT_FLOATING: _ClassVar[RootJoint]
     ROOT_JOINT_FIXED: _ClassVar[RootJoint]
     ROOT_JOINT_PLANAR: _ClassVar[RootJoint]
+    ROOT_JOINT_DIFFERENTIAL: _ClassVar[RootJoint]
 
 class FreeAxis(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -218,6 +219,7 @@ ROOT_JOINT_UNSPECIFIED: RootJoint
 ROOT_JOINT_FLOATING: RootJoint
 ROOT_JOINT_FIXED: RootJoint
 ROOT_JOINT_PLANAR: RootJoint
+ROOT_JOINT_DIFFERENTIAL: RootJoint
 FREE_AXIS_UNSPECIFIED: FreeAxis
 FREE_AXIS_NONE: FreeAxis
 FREE_AXIS_X: FreeAxis
@@ -353,7 +355,7 @@ class MotionRequest(_message.Message):
     def __init__(self, robot: _Optional[_Union[Robot, _Mapping]] = ..., start: _Optional[_Union[Start, _Mapping]] = ..., scene: _Optional[_Union[SceneSpec, _Mapping]] = ..., goal: _Optional[_Union[Goal, _Mapping]] = ..., task: _Optional[_Union[Task, _Mapping]] = ..., keep: _Optional[_Iterable[_Union[Keep, _Mapping]]] = ..., attached: _Optional[_Iterable[_Union[Attached, _Mapping]]] = ..., options: _Optional[_Union[Options, _Mapping]] = ..., resume: _Optional[_Union[Resume, _Mapping]] = ...) -> None: ...
 
 class Robot(_message.Message):
-    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands", "servo", "locked", "torque", "drawn_links")
+    __slots__ = ("name", "urdf", "srdf", "package_dirs", "root", "tool_distance_m", "contacts", "hand", "hands", "servo", "locked", "torque", "drawn_links", "decompose")
     class ContactsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -388,6 +390,7 @@ class Robot(_message.Message):
     LOCKED_FIELD_NUMBER: _ClassVar[int]
     TORQUE_FIELD_NUMBER: _ClassVar[int]
     DRAWN_LINKS_FIELD_NUMBER: _ClassVar[int]
+    DECOMPOSE_FIELD_NUMBER: _ClassVar[int]
     name: str
     urdf: str
     srdf: str
@@ -401,7 +404,8 @@ class Robot(_message.Message):
     locked: _containers.ScalarMap[str, float]
     torque: RobotTorque
     drawn_links: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ..., servo: _Optional[_Union[RobotServo, _Mapping]] = ..., locked: _Optional[_Mapping[str, float]] = ..., torque: _Optional[_Union[RobotTorque, _Mapping]] = ..., drawn_links: _Optional[_Iterable[str]] = ...) -> None: ...
+    decompose: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, name: _Optional[str] = ..., urdf: _Optional[str] = ..., srdf: _Optional[str] = ..., package_dirs: _Optional[_Iterable[str]] = ..., root: _Optional[_Union[RootJoint, str]] = ..., tool_distance_m: _Optional[float] = ..., contacts: _Optional[_Mapping[str, ContactPatch]] = ..., hand: _Optional[_Union[HandKind, str]] = ..., hands: _Optional[_Mapping[str, RobotHand]] = ..., servo: _Optional[_Union[RobotServo, _Mapping]] = ..., locked: _Optional[_Mapping[str, float]] = ..., torque: _Optional[_Union[RobotTorque, _Mapping]] = ..., drawn_links: _Optional[_Iterable[str]] = ..., decompose: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RobotTorque(_message.Message):
     __slots__ = ("check", "unchecked")

@@ -27,7 +27,10 @@ export interface BodyRef { owner: "robot" | "scene" | "mechanism"; link: string 
 export interface Allowance { first: BodyRef; second: BodyRef; depth: number }
 export interface Target {
   kind: string; frame?: string; position?: number[]; quaternion_wxyz?: number[];
-  centre?: number[]; axis?: number[]; radius?: number; tolerance_m?: number;
+  centre?: number[]; axis?: number[] | null; radius?: number; tolerance_m?: number;
+  // Of a region, in its axes; null where it is free.
+  reference?: string | null; lower_m?: (number | null)[]; upper_m?: (number | null)[]; radius_m?: number | null;
+  distance_m?: number | null; look?: number[] | null; lean_deg?: number | null;
 }
 export interface Span { start: number; end: number }
 // Where the centre of mass may be, and forces at places that hold the robot, one row per frame from a frame on.

@@ -1,9 +1,10 @@
 // What the hands are asked to reach.
 import {
-  BufferGeometry, ConeGeometry, CylinderGeometry, Group, Material, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, TorusGeometry,
+  BufferGeometry, ConeGeometry, CylinderGeometry, Group, LineBasicMaterial, Material, Mesh, MeshBasicMaterial, Quaternion, SphereGeometry, TorusGeometry,
   Vector3,
 } from "three";
 import { Phase, Result, Target } from "./data";
+import { drawRegion } from "./goal-regions";
 import { Layer } from "./layer";
 import { Label } from "./labels";
 import { Colours } from "./theme";
@@ -28,6 +29,7 @@ export class Targets implements Layer {
   readonly labels: Label[] = [];
   private readonly ring = new MeshBasicMaterial();
   private readonly tolerance = new MeshBasicMaterial({ transparent: true, opacity: 0.22, depthWrite: false });
+  private readonly edge = new LineBasicMaterial();
   private readonly drawn: { group: Group; phases: Phase[]; label: Label }[] = [];
 
   constructor(result: Result) {
@@ -68,6 +70,11 @@ export class Targets implements Layer {
       knot.position.copy(at);
       group.add(knot);
       text = `${target.frame ?? "pose"} · ${phases[0].name}`;
+    } else if (target.kind === "region" && !target.reference && target.position) {
+      const region = drawRegion(target, this.tolerance, this.edge);
+      group.add(region);
+      at = region.position.clone();
+      text = `${target.frame ?? "region"} · ${phases[0].name}`;
     } else {
       return;
     }
@@ -107,5 +114,6 @@ export class Targets implements Layer {
   recolour(colours: Colours): void {
     this.ring.color.set(colours.target);
     this.tolerance.color.set(colours.target);
+    this.edge.color.set(colours.target);
   }
 }

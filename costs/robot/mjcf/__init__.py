@@ -1,0 +1,1 @@
+"""Robots given as models of MuJoCo (MJCF), read by MuJoCo itself and rewritten as URDF."""
