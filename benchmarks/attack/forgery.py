@@ -49,11 +49,8 @@ LONG_BASES = (
 )  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
-    "lever turned the other way",
-    "valve of the request moved by 4 mm",
     "circle moved by 4 mm",
     "angle of the wheel turned round",
-    "allowance of the rim for the hub",
     "phases merged into one",
     "region enlarged with its forces",
     "a kept contact creeps",
@@ -74,6 +71,10 @@ LONG = (
     "an object carried by the column",
     "fingers that do not slip",
     "half of the object s mass",
+    "an object taken before the fingers close",
+    "an object that is smaller than the request s",
+    "fingers that press harder than they can",
+    "an allowance of the object for the wall",
     "kept pose removed",
     "kept pose relative to itself",
     "kept pose demanded elsewhere",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_plans import write_undrawn
 from tiny_robots import Segment, chain_urdf
 
 from costs.kinematics import KinematicsEngine, locate_links
@@ -16,7 +17,6 @@ from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
-from service.result.output import write_result
 from service.result.result import PlanResult
 from service.wire.requests import request_from_message, request_to_message
 
@@ -75,7 +75,7 @@ def test_a_motion_in_regions_passes_a_place_and_ends_at_the_nearest_goal(
     assert min(np.linalg.norm(tip - [0.9, -0.1, 0.5]) for tip in tips) <= 0.3
     speeds = np.linalg.norm(np.diff(result.positions, axis=0), axis=1)
     assert speeds[1:-1].min() > 0.0  # it does not stop on the way
-    folder = write_result(result, tmp_path / "out").folder
+    folder = write_undrawn(result, tmp_path / "out")
     report = verify_result(folder)
     assert report["verdict"] == "CERTIFIED"
     monkeypatch.syspath_prepend(EXAMPLES)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from clocks import CountingClock
 from given_doors import door_request
-from shared_plans import plan_once, write_once
+from shared_plans import plan_once, write_once, write_undrawn
 
 from costs.robot import Mechanism
 from service.demands.door.demand import make_door, read_given_door
@@ -26,7 +26,6 @@ from service.planner import plan
 from service.replay.replay import read_motion
 from service.request.file import parse_request
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.verify import Motion, Status, verify
 from service.verify.hashes import promises_hash
@@ -105,7 +104,7 @@ def test_without_its_allowances_the_neck_in_its_rose_is_no_proof(opened: PlanRes
 
 
 def test_a_result_file_keeps_releases_and_joints(opened: PlanResult, tmp_path: Path) -> None:
-    folder = write_result(opened, tmp_path / "out").folder
+    folder = write_undrawn(opened, tmp_path / "out")
     data = read_result(folder)
     assert data["releases"] == [
         {
@@ -135,7 +134,7 @@ def test_a_stranger_finds_a_leaf_that_a_hand_would_drag_along(
     """The hand leaves the lever along the way of a leaf that bears 30 N m; a record says that it bears almost none."""
     monkeypatch.syspath_prepend(EXAMPLES)
     told = {name: importlib.import_module(name) for name in ("check_certificate", "replayed_motion", "replayed_pushes")}
-    folder = write_result(opened, tmp_path / "out").folder
+    folder = write_undrawn(opened, tmp_path / "out")
     data = read_result(folder)
     replay = told["replayed_motion"].Replay(told["replayed_motion"].read_model(folder, data), data)
     names = [phase["name"] for phase in data["phases"]]

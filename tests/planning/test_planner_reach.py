@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from clocks import CountingClock
 from planar_arm import write_planar_arm
+from shared_plans import write_undrawn
 from stranger import Stranger
 
 from costs.kinematics import locate_links
@@ -17,7 +18,6 @@ from service.request.file import parse_request
 from service.request.schema import Options, PlanRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import Attempt
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
 from service.tasks.reach.goal import Goal
@@ -50,7 +50,7 @@ def reached(tmp_path_factory):
     request = atlas(tool_at([0.6, 0.2, 1.15], quaternion_wxyz=FORWARD, free_axis="z"))
     result = plan(request)
     folder = tmp_path_factory.mktemp("reach") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, Stranger(folder)
 
 
@@ -308,7 +308,7 @@ def test_a_goal_in_collision_is_infeasible_and_names_pair_and_depth(tmp_path):
 
 def test_a_robot_without_masses_is_written_and_has_no_centre_of_mass(tmp_path):
     result = plan(small_arm(tmp_path, {"j0": 0.5, "j1": 0.0, "j2": 0.0}, []))
-    written = Stranger(write_result(result, tmp_path / "out").folder).data
+    written = Stranger(write_undrawn(result, tmp_path / "out")).data
     assert set(written["com"]) == {None}
     assert len(written["com"]) == len(written["trajectory"]["times"])
 
