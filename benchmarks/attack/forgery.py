@@ -73,6 +73,8 @@ LONG = (
     "half of the object s mass",
     "an object taken before the fingers close",
     "an object that is smaller than the request s",
+    "an object that was 3 mm beside its grasp",
+    "no objects",
     "fingers that press harder than they can",
     "an allowance of the object for the wall",
     "kept pose removed",

@@ -301,7 +301,7 @@ def test_a_chain_that_breaks_says_where_and_why():
         else stage
         for stage in stages()[LAST - 1 : LAST + 1]
     ]
-    quick = replace(solver(), settings=replace(solver().settings, max_iterations=8))
+    quick = replace(solver(), settings=replace(solver().settings, max_iterations=20))
     broken = link_poses(quick, low)
     assert isinstance(broken, BrokenChain)
     assert broken.stage == 1

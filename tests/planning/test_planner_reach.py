@@ -133,7 +133,7 @@ def test_a_target_inside_an_obstacle_is_infeasible_and_names_link_and_obstacle()
 def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_best_attempt():
     boards = ({"name": f"{name} board", "type": "box", "size": [0.4, 0.6, 0.02], "position": [0.7, 0.2, z]}
               for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
-    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards), starts=1))
     assert result.verdict is Verdict.NOT_FOUND
     assert any("board" in line and "l_h" in line for line in result.explanation), result.explanation
     assert result.motion is not None
@@ -161,7 +161,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
               for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
     monkeypatch.setattr(planner, "GRACE_S", 60.0)  # however busy the machine is
     monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
-    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards), starts=1))
     assert result.verdict is Verdict.TIME_LIMIT
     assert result.explanation[0].startswith("the default limit of 60 s")
     assert any("board" in line for line in result.explanation[1:]), result.explanation

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from little_scan import little_scan
 from shared_plans import copy_undrawn, plan_example, write_example
 from stranger import Stranger
 
-from perception import SeenPart
+from perception import SeenPart, write_npz
 from service.body.whole_body import Aims, WholeBody
 from service.demands.hands import HANDS, PEG_RADIUS
 from service.demands.valve.given import read_given_valve
@@ -256,8 +257,9 @@ def test_a_valve_beyond_any_reach_is_infeasible():
     assert "cannot reach" in result.explanation[0]
 
 
-def test_a_scan_without_a_valve_says_so(shared_data):
-    result = plan(request({"turn_deg": 90}, shared_data / "scenes" / "door_a" / "scan0.pcd"))
+def test_a_scan_without_a_valve_says_so(tmp_path):
+    write_npz(tmp_path / "scan.npz", little_scan())
+    result = plan(request({"turn_deg": 90}, tmp_path / "scan.npz"))
     assert result.verdict is Verdict.NOT_FOUND
     assert "no valve was found" in result.explanation[0]
 
