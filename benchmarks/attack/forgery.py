@@ -49,11 +49,7 @@ LONG_BASES = (
 )  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
-    "circle moved by 4 mm",
-    "angle of the wheel turned round",
     "phases merged into one",
-    "region enlarged with its forces",
-    "a kept contact creeps",
     "contacts that change while the robot moves",
     "friction of the request lowered",
     "the rod is off the face during the move",

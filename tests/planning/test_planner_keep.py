@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 from shared_plans import plan_example, write_undrawn
-from stranger import Stranger
+from stranger import Stranger, load_checker
 from tiny_robots import Segment, Z, chain_urdf
 
 from costs.robot import load_robot
@@ -25,7 +24,6 @@ from service.request.schema import PlanRequest
 from service.result.result import PlanResult, Verdict
 from service.verify import RelativePoseTarget, Status, verify
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 LEFT = np.array([0.473, 0.321, 1.096])  # of the hand in the posture reach_ready
 SHIFT = np.array([0.05, 0.1, -0.2])
 SHELF = {"name": "shelf", "type": "box", "size": [0.3, 0.5, 0.02], "position": [0.62, 0.35, 1.22]}
@@ -125,10 +123,9 @@ def test_the_replayed_result_is_certified_with_the_same_checks(carried):
 
 
 @pytest.fixture(name="program")
-def _program(monkeypatch):
+def _program():
     """The stranger's replay as a module."""
-    monkeypatch.syspath_prepend(EXAMPLES)
-    return importlib.import_module("check_certificate")
+    return load_checker()
 
 
 @pytest.mark.parametrize(("change", "is_kept"), [("nothing", True), ("position", False), ("rotation", False)])
