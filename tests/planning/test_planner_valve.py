@@ -245,7 +245,9 @@ def test_a_spoke_that_nobody_knows_of_is_no_ground_for_a_certificate():
 
 
 def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
-    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90), options={"starts": 1}))
+    bar = {"direction": [0.0, 0.0, 1.0], "length_m": 0.22}  # which a hand can turn in fewer ways than a wheel
+    far = {"centre": [1.45, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "lever": bar, "hand": "left", "turn_deg": 45}
+    result = plan(request(far, options={"starts": 1}))
     assert result.verdict is Verdict.NOT_FOUND
     assert any("moving the pelvis" in line and "forward" in line for line in result.explanation), result.explanation
     assert result.motion is not None
