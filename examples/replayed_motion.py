@@ -160,20 +160,21 @@ class Replay:
         """Bound how far any point leaves its chord between a and b, on the curve and on the line through samples."""
         ids, joints, reach = (np.array(column) for column in zip(*chain, strict=True))
         piece = int(np.searchsorted(self.knots, 0.5 * (a + b)) - 1)
-        (speed, bend), k = (rate[ids] for rate in self.rates(a, b, piece)), np.arange(len(ids))
+        speed, bend = (rate[ids] for rate in self.rates(a, b, piece))
         centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
         middle, turns = 0.5 * (a + b), self.turns[ids]
         gap = [self.place(middle, j)[1] for j in joints] - self.points(middle, mover, centre[None])
         now = np.linalg.norm(gap, axis=1) + np.linalg.norm(points - centre, axis=1).max()
         distal = np.append(np.cumsum((speed * reach)[::-1])[::-1], 0.0)[1:]
         near = np.where(turns, np.minimum(reach, now + 0.5 * (b - a) * distal), reach)
-        weight = near[np.maximum.outer(k, k)] * turns[np.minimum.outer(k, k)]
+        inner = speed * turns  # of two coordinates the inner one turns the outer one's lever
+        pairs = 2.0 * np.cumsum(inner) - inner
         low, high = np.searchsorted(self.samples, a, side="right") - 1, np.searchsorted(self.samples, b)
         step = np.diff(self.samples)[low:high].max()
         fast, sharp = (rate[ids] for rate in self.rates(self.knots[piece], self.knots[piece + 1], piece))
         line, base = (reach * (step**2 / 8 * sharp + ROUNDING)).sum(), self.base[ids]
         slerp = (step * fast[base].sum()) ** 2 / 4 * reach[base].max(initial=0.0)
-        return float((b - a) ** 2 / 8 * (speed @ weight @ speed + near @ bend) + line + slerp) + 1e-9
+        return float((b - a) ** 2 / 8 * (near @ (speed * pairs + bend)) + line + slerp) + 1e-9
 
     def highest(
         self,

@@ -157,7 +157,6 @@ SHORT = (
     "another goal of the joints",
     "twice as fast",
     "untimed",
-    "half the turn",
 )
 
 

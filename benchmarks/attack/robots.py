@@ -138,7 +138,7 @@ def _machine(name: str, text: str, goal: dict[str, float], expected: Expected = 
             (folder / "machine.srdf").write_text(f'<robot name="machine">{disabled}</robot>', encoding="utf-8")
             robot["srdf"] = str(folder / "machine.srdf")
         return Lie(
-            {"robot": robot, "goal": {"joints": goal}, "options": {"time_limit_s": 3.0}}, expected, (), urdf, folder
+            {"robot": robot, "goal": {"joints": goal}, "options": {"time_limit_s": 1.0}}, expected, (), urdf, folder
         )
 
     ROBOTS[name] = make

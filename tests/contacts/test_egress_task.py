@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from shared_plans import write_undrawn
 
 from service.demands.egress.demand import SHIPPED_PHASES, EgressDemand
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import Verdict
 
 REQUEST = Path(__file__).resolve().parents[2] / "examples" / "requests" / "egress_model.yaml"
@@ -33,7 +33,7 @@ def stepped(tmp_path_factory):
     """The plan of the first step, and its folder."""
     result = plan(parse_request(first_step()))
     folder = tmp_path_factory.mktemp("egress") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, folder
 
 
@@ -104,7 +104,7 @@ def test_a_foot_at_the_edge_is_turned_onto_the_platform_and_replayed_so(tmp_path
     (planted,) = (contact for contact in result.motion.phases[-1].contacts if contact.link == "r_foot")
     assert np.rad2deg(np.arctan2(*planted.pose_world_link[[1, 0], 0])) > foot["yaw_deg"] + 1.0
     assert planted.points[:, 1].max() <= -0.46 + 1e-6
-    write_result(result, tmp_path / "out")
+    write_undrawn(result, tmp_path / "out")
     assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shared_plans import write_undrawn
 
 from costs.robot import load_robot
 from costs.scene import Scene
@@ -18,7 +19,6 @@ from service.replay.replay import verify_result
 from service.replay.rest import make_rest_request
 from service.request.file import parse_request
 from service.result.folder import read_result
-from service.result.output import write_result
 
 FAR = 1.0  # of a foot that a step from the start does not reach [m]
 SLACK = 0.4
@@ -55,7 +55,7 @@ def moved(tmp_path_factory):
     """The plan of a step that is too far but for its slack, and its folder."""
     result = plan(parse_request(ask(SLACK)))
     folder = tmp_path_factory.mktemp("moved") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, folder
 
 

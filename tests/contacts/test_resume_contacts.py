@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from shared_plans import write_undrawn
 
 from costs.contact import Contact
 from costs.rotation import make_quaternions
@@ -23,7 +24,6 @@ from service.replay.replay import read_record, verify_result
 from service.replay.rest import hash_plan, make_rest_request
 from service.request.file import parse_request
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.verify.timeline import find_times
 
 FIRST, SECOND = "right foot forward", "left foot forward"
@@ -54,7 +54,7 @@ def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("steps") / "out"
     result = plan(parse_request(json.loads(json.dumps(REQUEST))))
     assert result.verdict.value == "CERTIFIED", result.explanation
-    write_result(result, path)
+    write_undrawn(result, path)
     return path
 
 
@@ -94,7 +94,7 @@ def test_the_rest_from_a_swing_ends_where_the_displaced_plank_is(folder, tmp_pat
         for motion in (before, result.motion)
     ]
     np.testing.assert_allclose(places[1] - places[0], [0.02, -0.01, 0.01], atol=1.5e-3)
-    write_result(result, tmp_path / "rest")
+    write_undrawn(result, tmp_path / "rest")
     assert verify_result(tmp_path / "rest")["verdict"] == "CERTIFIED"
 
 

@@ -92,7 +92,7 @@ def test_programs_find_the_soles_hull_as_the_closed_form_does(far):
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_farthest_places_agree_with_another_solver_and_lie_inside_those_of_exact_cones(seed):
     rng = np.random.default_rng(seed)
     contacts, mass = random_stance(rng)
@@ -137,7 +137,7 @@ def test_several_wrenches_together_are_held_where_each_alone_is(seed):
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=30)
+@settings(max_examples=25)
 def test_every_place_inside_is_held_under_every_mixture_of_the_wrenches(seed):
     rng = np.random.default_rng(seed)
     contacts, mass = random_stance(rng)

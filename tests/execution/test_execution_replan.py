@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared_plans import write_undrawn
 from small_plan import small_plan
 
 from costs.scene import ConvexPiece
 from perception.detect.door.geometry import DoorGeometry, HandleGeometry
 from perception.detect.valve.bodies import ValveDetection
-from service import parse_request, plan, write_result
+from service import parse_request, plan
 from service.demands.door.demand import SeenDoor
 from service.errors import ExecutionError, RequestError, ResultError
 from service.execution.execution import Execution
@@ -30,7 +31,7 @@ PERIOD = 1e-2
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("plans") / "reach"
     goal = {"link": "l_tool", "position": [0.6, 0.25, 1.05], "position_tolerance_m": 0.005}
-    write_result(plan(parse_request({"robot": {"name": "atlas"}, "goal": {"poses": [goal]}})), path)
+    write_undrawn(plan(parse_request({"robot": {"name": "atlas"}, "goal": {"poses": [goal]}})), path)
     return path
 
 
@@ -187,7 +188,7 @@ def test_a_folder_that_was_changed_is_not_carried_out(folder, tmp_path):
 def test_a_plan_without_time_law_is_not_carried_out(tmp_path):
     path = tmp_path / "untimed"
     request = {"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}, "options": {"timed": False}}
-    write_result(plan(parse_request(request)), path)
+    write_undrawn(plan(parse_request(request)), path)
     with pytest.raises(ResultError, match="no time law") as caught:
         read_certified(path)
     assert "\n" not in str(caught.value)

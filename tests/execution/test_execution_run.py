@@ -113,8 +113,7 @@ def test_an_abort_where_the_margin_is_thin_goes_back_to_a_pose_with_more(referen
     check_command(reference, cycles)
 
 
-@pytest.mark.parametrize("at", [1.0, 5.0])
-@pytest.mark.parametrize("link", ["r_hand", "l_foot"])
+@pytest.mark.parametrize(("at", "link"), [(1.0, "r_hand"), (5.0, "l_foot")])
 def test_a_target_displaced_in_every_phase_is_reached_without_a_jump(reference, at, link):
     offset = np.array([0.008, -0.006, 0.01])
     report, cycles = collect(start(reference), [Action(at, link=link, offset=offset)])

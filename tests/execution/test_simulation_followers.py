@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from planar_arm import write_planar_arm
+from shared_plans import write_undrawn
 
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
 
-from service import parse_request, plan, write_result
+from service import parse_request, plan
 from service.execution.execution import Execution
 from service.execution.reference import PlannedReference
 from service.execution.tracking import KinematicRobot, track
@@ -32,7 +33,7 @@ def folder(tmp_path_factory):
     urdf.write_text(f'{text[:end]}<mimic joint="j1" multiplier="{RATIO}" offset="{OFFSET}"/>{text[end:]}')
     result = plan(parse_request({"robot": {"urdf": str(urdf)}, "goal": {"joints": {"j0": 0.6, "j1": 0.5}}}))
     assert result.verdict.value == "CERTIFIED", result.explanation
-    return write_result(result, path / "out").folder
+    return write_undrawn(result, path / "out")
 
 
 def test_a_follower_moves_with_its_leader_in_physics(folder):

@@ -23,7 +23,7 @@ from service.verify import Motion, verify
 from service.work.look import DetectTask, SceneTask, build_scene, detect
 from service.work.plan import PlanAnswer, PlanTask, run_plan
 
-N_STOPS = 4
+N_STOPS = 2
 LEAST_POLLS = 20
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from given_wheels import wheel_request
-from shared_plans import copy_undrawn, write_once
+from shared_plans import copy_undrawn, write_once, write_undrawn
 from typer.testing import CliRunner
 
 from costs.kinematics import KinematicsEngine, locate_links
@@ -24,7 +24,6 @@ from service.replay.rest import make_rest_request
 from service.request.file import parse_request, to_json
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.verify import Motion
 from service.wire.requests import request_from_message, request_to_message
@@ -61,7 +60,7 @@ def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(
 ) -> None:
     result = kept
     assert "is kept" in _notes(result)
-    assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"
+    assert verify_result(write_undrawn(result, tmp_path / "out"))["verdict"] == "CERTIFIED"
     assert result.motion is not None
     data, motion = read_result(turned), result.motion
     names = motion.robot.joint_names
@@ -88,7 +87,7 @@ def test_only_the_arm_that_holds_the_wheel_is_elsewhere_at_the_same_times(
 
 
 def test_a_figure_that_is_smaller_than_the_motion_s_is_refused(kept: PlanResult, tmp_path: Path) -> None:
-    folder = copy_undrawn(write_result(kept, tmp_path / "whole").folder, tmp_path / "out")
+    folder = copy_undrawn(write_undrawn(kept, tmp_path / "whole"), tmp_path / "out")
     honest = read_result(folder)
     for name in ("hand_displaced_mm", "hand_displaced_deg", "turned_deg", "holds_torque_nm"):
         figures = {**honest["figures"], name: 0.9 * honest["figures"][name]}

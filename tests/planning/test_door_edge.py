@@ -10,6 +10,7 @@ import pytest
 from given_doors import door_request
 from hypothesis import given
 from hypothesis import strategies as st
+from shared_plans import write_undrawn
 
 from perception.detect.door.geometry import UP, DoorGeometry
 from service.demands.door.phases import Push
@@ -25,7 +26,6 @@ from service.demands.holds.door_edge import (
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.simulation.simulate import simulate
 
@@ -111,7 +111,7 @@ def pulled() -> PlanResult:
 def test_an_ajar_leaf_with_a_knob_is_pulled_by_its_edge(pulled: PlanResult, tmp_path: Path) -> None:
     assert pulled.verdict is Verdict.CERTIFIED, pulled.explanation
     assert [phase.name for phase in pulled.motion.phases] == ["reach", "touch", "push", "retract"]
-    folder = write_result(pulled, tmp_path / "out").folder
+    folder = write_undrawn(pulled, tmp_path / "out")
     again = verify_result(folder)
     assert again["verdict"] == "CERTIFIED", again["explanation"]
     (leaf,) = simulate(folder, output=tmp_path / "there.json")["mechanism"]

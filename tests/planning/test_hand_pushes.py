@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from given_mechanisms import BAR, PEG, cabinet_request, drawer_request, latched_request
-from shared_plans import plan_once
+from shared_plans import plan_once, write_undrawn
 from tiny_robots import atlas
 
 from costs.robot import with_mechanism
@@ -21,7 +21,6 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
-from service.result.output import write_result
 from service.result.result import Verdict
 
 FRICTION = (0.3, 0.6)
@@ -58,7 +57,7 @@ def test_the_side_that_the_refusal_names_is_certified_and_its_push_is_in_the_rec
     assert [contact.surface for contact in push.contacts] == ["the rod"]
     checks = {check.name: check for check in result.certificate.checks}
     assert checks["hand_contact.move slide.slide"].basis.value == "proof"
-    folder = write_result(result, tmp_path / "out").folder
+    folder = write_undrawn(result, tmp_path / "out")
     assert verify_result(folder)["verdict"] == "CERTIFIED"
 
 

@@ -10,13 +10,13 @@ import pinocchio as pin
 import pytest
 from given_doors import door_request
 from given_mechanisms import request_for
+from shared_plans import write_undrawn
 
 from service.demands.door.demand import make_door, read_given_door
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import Verdict
 
 URDF = """<robot name="hose"><link name="base"/>
@@ -81,7 +81,7 @@ def test_a_hand_leaves_the_lever_of_an_easy_door_upwards(tmp_path: Path) -> None
     checks = {check.name: check for check in result.certificate.checks}
     for phase in ("let go", "retract"):
         assert checks[f"let_go.{phase}.door_opening"].basis.value == "proof"
-    assert verify_result(write_result(result, tmp_path / "out").folder)["verdict"] == "CERTIFIED"
+    assert verify_result(write_undrawn(result, tmp_path / "out"))["verdict"] == "CERTIFIED"
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_plans import write_undrawn
 
 from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult
 from service.simulation.run import execute_folder
 from service.simulation.verdict import judge, measure_objects
@@ -32,7 +32,7 @@ def folder(gantry: Path) -> Path:
     """A result whose block is moved."""
     result = ask(gantry)
     assert result.verdict.value == "CERTIFIED", result.explanation
-    return write_result(result, gantry.parent / "out").folder
+    return write_undrawn(result, gantry.parent / "out")
 
 
 def ask(gantry: Path, **changes: Any) -> PlanResult:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +12,8 @@ import numpy as np
 import pytest
 from clocks import CountingClock
 from given_doors import door_request
-from shared_plans import plan_once, write_once
+from shared_plans import plan_once, write_once, write_undrawn
+from stranger import check_folder
 
 from costs.robot import Mechanism
 from service.demands.door.demand import make_door, read_given_door
@@ -26,7 +25,6 @@ from service.planner import plan
 from service.replay.replay import read_motion
 from service.request.file import parse_request
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.verify import Motion, Status, verify
 from service.verify.hashes import promises_hash
@@ -105,7 +103,7 @@ def test_without_its_allowances_the_neck_in_its_rose_is_no_proof(opened: PlanRes
 
 
 def test_a_result_file_keeps_releases_and_joints(opened: PlanResult, tmp_path: Path) -> None:
-    folder = write_result(opened, tmp_path / "out").folder
+    folder = write_undrawn(opened, tmp_path / "out")
     data = read_result(folder)
     assert data["releases"] == [
         {
@@ -122,11 +120,9 @@ def test_a_result_file_keeps_releases_and_joints(opened: PlanResult, tmp_path: P
 
 def test_a_stranger_comes_to_the_same_verdict() -> None:
     folder = write_once(parse_request(door_request(open_deg=20.0, x=0.75, stays=True)))
-    done = subprocess.run(
-        [sys.executable, EXAMPLES / "check_certificate.py", folder], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "ok   release of door_opening" in done.stdout
+    code, said = check_folder(folder)
+    assert code == 0, said
+    assert "ok   release of door_opening" in said
 
 
 def test_a_stranger_finds_a_leaf_that_a_hand_would_drag_along(
@@ -135,7 +131,7 @@ def test_a_stranger_finds_a_leaf_that_a_hand_would_drag_along(
     """The hand leaves the lever along the way of a leaf that bears 30 N m; a record says that it bears almost none."""
     monkeypatch.syspath_prepend(EXAMPLES)
     told = {name: importlib.import_module(name) for name in ("check_certificate", "replayed_motion", "replayed_pushes")}
-    folder = write_result(opened, tmp_path / "out").folder
+    folder = write_undrawn(opened, tmp_path / "out")
     data = read_result(folder)
     replay = told["replayed_motion"].Replay(told["replayed_motion"].read_model(folder, data), data)
     names = [phase["name"] for phase in data["phases"]]

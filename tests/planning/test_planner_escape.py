@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from planar_arm import write_planar_arm
 from rich.console import Console
+from shared_plans import write_undrawn
 from small_plan import small_plan
 from small_robots import box
 from stranger import Stranger
@@ -21,7 +22,6 @@ from service.errors import RequestError
 from service.planner import plan
 from service.request.file import parse_request
 from service.result.attempt import list_shortfalls
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.result.result_json import summary_json
 from service.setup.prepare import prepare
@@ -63,7 +63,7 @@ def escaped(tmp_path_factory):
     """A plan that begins in a block, and its folder."""
     result = plan(arm_request(tmp_path_factory.mktemp("arm"), escape=True))
     folder = tmp_path_factory.mktemp("escape") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, Stranger(folder)
 
 

@@ -12,9 +12,10 @@ import pytest
 import yaml
 from given_mechanisms import drawer_request, drawer_urdf
 from heavy_mechanisms import chest_request, inertial
+from shared_plans import write_undrawn
 
 from costs.curve import TimeLaw
-from service import RequestError, parse_request, plan, write_result
+from service import RequestError, parse_request, plan
 from service.demands.mechanism.demand import GivenMechanismDemand
 from service.demands.mechanism.given import read_given_mechanism
 from service.demands.recorded_task import RecordedTask
@@ -52,19 +53,19 @@ def plan_certified(request: dict[str, Any]) -> PlanResult:
 def _drawer(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlanResult, Path]:
     """A drawer of 5 kg pulled out against 30 N of friction."""
     result = plan_certified(drawer_request(urdf=heavy_urdf()))
-    return result, write_result(result, tmp_path_factory.mktemp("drawer") / "out").folder
+    return result, write_undrawn(result, tmp_path_factory.mktemp("drawer") / "out")
 
 
 @pytest.fixture(name="hatch", scope="module")
 def _hatch(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlanResult, Path]:
     result = plan_certified(hatch_request())
-    return result, write_result(result, tmp_path_factory.mktemp("hatch") / "out").folder
+    return result, write_undrawn(result, tmp_path_factory.mktemp("hatch") / "out")
 
 
 @pytest.fixture(name="lid", scope="module")
 def _lid(tmp_path_factory: pytest.TempPathFactory) -> tuple[PlanResult, Path]:
     result = plan_certified(chest_request())
-    return result, write_result(result, tmp_path_factory.mktemp("lid") / "out").folder
+    return result, write_undrawn(result, tmp_path_factory.mktemp("lid") / "out")
 
 
 def test_the_masses_of_a_mechanism_are_loads_and_no_weight_of_the_robot(drawer: tuple[PlanResult, Path]) -> None:

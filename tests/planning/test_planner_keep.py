@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
-from shared_plans import plan_example
-from stranger import Stranger
+from shared_plans import plan_example, write_undrawn
+from stranger import Stranger, load_checker
 from tiny_robots import Segment, Z, chain_urdf
 
 from costs.robot import load_robot
@@ -22,11 +21,9 @@ from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.verify import RelativePoseTarget, Status, verify
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 LEFT = np.array([0.473, 0.321, 1.096])  # of the hand in the posture reach_ready
 SHIFT = np.array([0.05, 0.1, -0.2])
 SHELF = {"name": "shelf", "type": "box", "size": [0.3, 0.5, 0.02], "position": [0.62, 0.35, 1.22]}
@@ -92,7 +89,7 @@ def _carried(tmp_path_factory):
     """A certified motion in which the right hand follows the left one, and its folder."""
     result = plan(carry(SHIFT, {"link": "r_hand", "relative_to": "l_hand"}))
     folder = tmp_path_factory.mktemp("carry") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, folder, Stranger(folder)
 
 
@@ -126,10 +123,9 @@ def test_the_replayed_result_is_certified_with_the_same_checks(carried):
 
 
 @pytest.fixture(name="program")
-def _program(monkeypatch):
+def _program():
     """The stranger's replay as a module."""
-    monkeypatch.syspath_prepend(EXAMPLES)
-    return importlib.import_module("check_certificate")
+    return load_checker()
 
 
 @pytest.mark.parametrize(("change", "is_kept"), [("nothing", True), ("position", False), ("rotation", False)])
@@ -202,7 +198,7 @@ def test_both_hands_reach_their_places_at_once(tmp_path):
     places = [0.55, 0.3, 1.0], [0.6, -0.35, 1.25]
     result = plan(both(*places))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    write_result(result, tmp_path / "out")
+    write_undrawn(result, tmp_path / "out")
     stranger = Stranger(tmp_path / "out")
     last = stranger.placements(stranger.positions[-1])
     for side, place in zip("lr", places, strict=True):
@@ -216,7 +212,7 @@ def test_a_beam_in_both_hands_is_part_of_the_robot_that_keeps_clear(carried, tmp
     result = plan(carry(SHIFT, keep, scene=scene, attached=[beam_between_the_hooks()]))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert "beam" in {body.name for body in result.robot.bodies}
-    write_result(result, tmp_path / "out")
+    write_undrawn(result, tmp_path / "out")
     assert verify_result(tmp_path / "out")["verdict"] == "CERTIFIED"
     stranger = Stranger(tmp_path / "out")
     planted = {"l_foot", "r_foot"}

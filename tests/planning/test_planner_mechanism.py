@@ -21,7 +21,7 @@ from given_mechanisms import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shared_plans import plan_once, write_once
+from shared_plans import plan_once, write_once, write_undrawn
 from tiny_robots import atlas
 
 from costs.robot import with_mechanism
@@ -43,7 +43,6 @@ from service.replay.consistency import compare_figures
 from service.replay.replay import verify_result
 from service.replay.whole import certify_whole
 from service.request.file import load_request, parse_request, request_hash
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.tasks.hints import find_anchor
@@ -62,7 +61,7 @@ def drawer() -> tuple[PlanResult, Path]:
 def _plan_and_write(request: dict[str, Any], folder: Path) -> tuple[PlanResult, Path]:
     result = plan(parse_request(request))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, folder
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from clocks import CountingClock
 from planar_arm import write_planar_arm
+from shared_plans import write_undrawn
 from stranger import Stranger
 
 from costs.kinematics import locate_links
@@ -17,7 +18,6 @@ from service.request.file import parse_request
 from service.request.schema import Options, PlanRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.result.attempt import Attempt
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.setup.prepare import prepare
 from service.tasks.reach.goal import Goal
@@ -50,7 +50,7 @@ def reached(tmp_path_factory):
     request = atlas(tool_at([0.6, 0.2, 1.15], quaternion_wxyz=FORWARD, free_axis="z"))
     result = plan(request)
     folder = tmp_path_factory.mktemp("reach") / "out"
-    write_result(result, folder)
+    write_undrawn(result, folder)
     return result, Stranger(folder)
 
 
@@ -133,7 +133,7 @@ def test_a_target_inside_an_obstacle_is_infeasible_and_names_link_and_obstacle()
 def test_a_slot_too_narrow_for_the_hand_names_link_and_board_and_comes_with_the_best_attempt():
     boards = ({"name": f"{name} board", "type": "box", "size": [0.4, 0.6, 0.02], "position": [0.7, 0.2, z]}
               for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
-    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards), starts=1))
     assert result.verdict is Verdict.NOT_FOUND
     assert any("board" in line and "l_h" in line for line in result.explanation), result.explanation
     assert result.motion is not None
@@ -161,7 +161,7 @@ def test_a_late_plan_comes_with_its_best_attempt_and_reasons_and_without_a_certi
               for name, z in (("lower", 1.03), ("upper", 1.07)))  # fmt: skip
     monkeypatch.setattr(planner, "GRACE_S", 60.0)  # however busy the machine is
     monkeypatch.setattr(planner, "verify", lambda motion: pytest.fail("a certificate was begun after the limit"))
-    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards)))
+    result = plan(atlas(tool_at([0.6, 0.2, 1.05]), obstacles=tuple(boards), starts=1))
     assert result.verdict is Verdict.TIME_LIMIT
     assert result.explanation[0].startswith("the default limit of 60 s")
     assert any("board" in line for line in result.explanation[1:]), result.explanation
@@ -308,7 +308,7 @@ def test_a_goal_in_collision_is_infeasible_and_names_pair_and_depth(tmp_path):
 
 def test_a_robot_without_masses_is_written_and_has_no_centre_of_mass(tmp_path):
     result = plan(small_arm(tmp_path, {"j0": 0.5, "j1": 0.0, "j2": 0.0}, []))
-    written = Stranger(write_result(result, tmp_path / "out").folder).data
+    written = Stranger(write_undrawn(result, tmp_path / "out")).data
     assert set(written["com"]) == {None}
     assert len(written["com"]) == len(written["trajectory"]["times"])
 

@@ -14,7 +14,7 @@ import yaml
 from given_doors import door_request
 from given_mechanisms import drawer_request
 from given_wheels import wheel_request
-from shared_plans import copy_undrawn, write_once
+from shared_plans import copy_undrawn, write_once, write_undrawn
 from tiny_robots import atlas
 from typer.testing import CliRunner
 
@@ -29,7 +29,6 @@ from service.request.file import parse_request, to_json
 from service.request.resume import NominalPhase, NominalRequest, ResumeRequest
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.scan.scene_file import wheel_from_circle
 from service.setup.world import read_surroundings
@@ -60,7 +59,7 @@ def pulled() -> Path:
 
 def _write(result: PlanResult, folder: Path) -> Path:
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    return write_result(result, folder / "out").folder
+    return write_undrawn(result, folder / "out")
 
 
 def _state(folder: Path, phase: str, share: float, **changes: float) -> dict[str, Any]:

@@ -169,10 +169,10 @@ def motion_bench_maker(folder):
             }
 
 
-def test_every_motion_bench_maker_problem_at_hand_is_certified(shared_data):
-    verdicts = [plan(parse_request(request)).verdict for request in motion_bench_maker(shared_data / "mbm_panda")]
-    assert len(verdicts) == 42
-    assert verdicts.count(Verdict.CERTIFIED) == 42
+def test_every_third_motion_bench_maker_problem_at_hand_is_certified(shared_data):
+    problems = list(motion_bench_maker(shared_data / "mbm_panda"))
+    assert len(problems) == 42
+    assert {plan(parse_request(request)).verdict for request in problems[::3]} == {Verdict.CERTIFIED}
 
 
 def test_a_result_names_the_start_it_was_found_from(tmp_path):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from planar_arm import write_planar_arm
+from shared_plans import write_undrawn
 
 from perception import Cloud, sandbox, write_pcd
 from perception.simulate import torus
@@ -19,7 +20,6 @@ from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 
 ROBOT = {"robot": {"name": "atlas"}, "goal": {"posture": "stand"}}
@@ -65,7 +65,7 @@ def _is_running(pid: int) -> bool:
 
 
 def _check_written(result: PlanResult, folder: Path) -> None:
-    write_result(result, folder)
+    write_undrawn(result, folder)
     assert read_result(folder)["verdict"] == result.verdict.value
 
 

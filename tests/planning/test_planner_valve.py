@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from little_scan import little_scan
 from shared_plans import copy_undrawn, plan_example, write_example
 from stranger import Stranger
 
-from perception import SeenPart
+from perception import SeenPart, write_npz
 from service.body.whole_body import Aims, WholeBody
 from service.demands.hands import HANDS, PEG_RADIUS
 from service.demands.valve.given import read_given_valve
@@ -244,7 +245,9 @@ def test_a_spoke_that_nobody_knows_of_is_no_ground_for_a_certificate():
 
 
 def test_a_valve_out_of_reach_comes_with_the_shift_that_would_help():
-    result = plan(request(given(centre=(1.45, 0.12, 1.1), hand="left", turn_deg=90), options={"starts": 1}))
+    bar = {"direction": [0.0, 0.0, 1.0], "length_m": 0.22}  # which a hand can turn in fewer ways than a wheel
+    far = {"centre": [1.45, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "lever": bar, "hand": "left", "turn_deg": 45}
+    result = plan(request(far, options={"starts": 1}))
     assert result.verdict is Verdict.NOT_FOUND
     assert any("moving the pelvis" in line and "forward" in line for line in result.explanation), result.explanation
     assert result.motion is not None
@@ -256,8 +259,9 @@ def test_a_valve_beyond_any_reach_is_infeasible():
     assert "cannot reach" in result.explanation[0]
 
 
-def test_a_scan_without_a_valve_says_so(shared_data):
-    result = plan(request({"turn_deg": 90}, shared_data / "scenes" / "door_a" / "scan0.pcd"))
+def test_a_scan_without_a_valve_says_so(tmp_path):
+    write_npz(tmp_path / "scan.npz", little_scan())
+    result = plan(request({"turn_deg": 90}, tmp_path / "scan.npz"))
     assert result.verdict is Verdict.NOT_FOUND
     assert "no valve was found" in result.explanation[0]
 

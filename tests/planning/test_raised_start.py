@@ -10,12 +10,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
+from shared_plans import write_undrawn
 
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.start.robot import load_requested_robot
@@ -63,7 +63,7 @@ def test_a_body_exactly_on_its_support_is_raised_and_the_motion_is_certified(
     assert raised.verdict is Verdict.CERTIFIED, raised.explanation
     assert raised.motion is not None
     assert [phase.name for phase in raised.motion.phases] == ["raise", "reach"]
-    write_result(raised, tmp_path)
+    write_undrawn(raised, tmp_path)
     assert verify_result(tmp_path)["verdict"] == "CERTIFIED"
 
 

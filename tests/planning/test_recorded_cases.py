@@ -13,7 +13,6 @@ from service.request.file import load_request, request_hash
 from service.result.result import Verdict
 
 DONE = (
-    "button_120_60N",
     "button_150",
     "door_ajar",
     "leverb_90",

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
+from shared_plans import write_undrawn
 from stance_starts import write_start
 
 from costs.scene import Scene
@@ -25,7 +26,6 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.start.robot import load_requested_robot
@@ -86,7 +86,7 @@ def test_a_reach_on_15_degrees_is_proven_by_contact_forces_and_holds_when_it_is_
     assert result.certificate is not None
     names = {check.name for check in result.certificate.checks}
     assert {"equilibrium.reach", "balance.reach", "forces.reach", "ground.reach.l_foot"} <= names
-    write_result(result, tmp_path)
+    write_undrawn(result, tmp_path)
     assert verify_result(tmp_path)["verdict"] == "CERTIFIED"
 
 

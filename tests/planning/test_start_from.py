@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from jaxtyping import Float
 from planar_arm import write_planar_arm
+from shared_plans import write_undrawn
 
 from service import ReachSession
 from service.body.paths import bend_path, cut_path
@@ -24,7 +25,6 @@ from service.request.file import parse_request
 from service.request.plain_file import load_section
 from service.request.schema import PlanRequest, StartRequest, StateRequest
 from service.request.tasks.reach import GoalRequest
-from service.result.output import write_result
 from service.result.result import PlanResult, Verdict
 
 POST = {"name": "post", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0.0, 0.0]}
@@ -165,7 +165,7 @@ def test_a_session_of_a_task_is_refused() -> None:
 
 
 def test_a_state_file_has_where_the_robot_is_at_a_time(earlier: PlanResult, tmp_path: Path) -> None:
-    write_result(earlier, tmp_path / "plan")
+    write_undrawn(earlier, tmp_path / "plan")
     for k in (0, len(earlier.times) // 2, -1):
         write_state(tmp_path / "plan", float(earlier.times[k]), tmp_path / "state.json")
         state = load_section(StateRequest, tmp_path / "state.json")

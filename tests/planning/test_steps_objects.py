@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shared_plans import write_undrawn
 
 from benchmarks.attack.gantry_files import write_gantry
 from benchmarks.attack.step_requests import DEPTH, INTO, TOP, peg_request
@@ -19,7 +20,6 @@ from service.errors import RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.simulation.run import execute_folder
 from service.simulation.verdict import judge
 from service.verify import find_times, place_frames, split_motion
@@ -34,7 +34,7 @@ def _urdf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _folder(urdf: Path) -> Path:
     result = plan(parse_request(peg_request(urdf)))
     assert result.verdict.value == "CERTIFIED", result.explanation
-    return write_result(result, urdf.parent / "out").folder
+    return write_undrawn(result, urdf.parent / "out")
 
 
 def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> None:

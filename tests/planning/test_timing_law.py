@@ -77,7 +77,7 @@ def test_scales_slow_the_line_down() -> None:
     assert law.times[-1] == pytest.approx(5.0, rel=0.01)
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_limits_hold_everywhere_and_something_is_used_up(seed: int, is_steep: bool) -> None:
     rng = np.random.default_rng(seed)

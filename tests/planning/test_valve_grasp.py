@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from shared_plans import write_undrawn
 
 from costs.robot import RobotError, load_robot
 from service.demands.valve.demand import ValveDemand
@@ -15,7 +16,6 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import Verdict
 
 WHEEL = {"centre": [0.68, 0.12, 1.1], "axis": [-1.0, 0.0, 0.0], "radius": 0.14}
@@ -32,7 +32,7 @@ def request(valve: dict, **robot: object):
 def grasped(tmp_path_factory):
     result = plan(request({"mode": "grasp", "turn_deg": 100}, hand="gripper"))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    return result, write_result(result, tmp_path_factory.mktemp("grasp") / "out").folder
+    return result, write_undrawn(result, tmp_path_factory.mktemp("grasp") / "out")
 
 
 def move(pose: pin.SE3, points: np.ndarray) -> np.ndarray:

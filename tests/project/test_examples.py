@@ -1,6 +1,9 @@
 """The numbered examples run unchanged and print what their docstrings announce."""
 
+import contextlib
+import io
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +14,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def run(name: str, folder: Path, *arguments: str) -> str:
+    """Run an example as a program and return what it prints."""
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / name), *arguments],
         cwd=folder,
@@ -23,21 +27,30 @@ def run(name: str, folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-def test_reach_a_pose_is_certified_and_leaves_a_viewer(tmp_path):
-    out = run("01_reach_a_pose.py", tmp_path)
+def run_here(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Run an example in this process, which has imported the planner already, and return what it prints."""
+    monkeypatch.setattr(sys, "argv", [name])
+    printed = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    return printed.getvalue()
+
+
+def test_reach_a_pose_is_certified_and_leaves_a_viewer(tmp_path, monkeypatch):
+    out = run_here("01_reach_a_pose.py", tmp_path, monkeypatch)
     assert out.startswith("CERTIFIED")
     assert (tmp_path / out.splitlines()[-1]).is_file()
 
 
-def test_an_added_cost_lifts_the_elbow(tmp_path):
-    lines = run("02_add_a_cost.py", tmp_path).splitlines()
+def test_an_added_cost_lifts_the_elbow(tmp_path, monkeypatch):
+    lines = run_here("02_add_a_cost.py", tmp_path, monkeypatch).splitlines()
     heights = [float(re.search(r"elbow (-?[\d.]+) m", line).group(1)) for line in lines]
     assert heights[1] > heights[0] + 0.2
     assert all("converged" in line for line in lines)
 
 
-def test_a_term_without_a_derivative_raises_the_elbow_of_a_certified_reach(tmp_path):
-    without, with_term, check = run("03_a_term_without_a_derivative.py", tmp_path).splitlines()
+def test_a_term_without_a_derivative_raises_the_elbow_of_a_certified_reach(tmp_path, monkeypatch):
+    without, with_term, check = run_here("03_a_term_without_a_derivative.py", tmp_path, monkeypatch).splitlines()
     ends = [float(re.search(r"([\d.]+) m at the end", line).group(1)) for line in (without, with_term)]
     assert ends[1] > ends[0] + 0.1
     assert without.endswith("CERTIFIED")
@@ -45,8 +58,8 @@ def test_a_term_without_a_derivative_raises_the_elbow_of_a_certified_reach(tmp_p
     assert "agree with central differences" in check
 
 
-def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
-    lines = run("04_a_convex_term.py", tmp_path).splitlines()
+def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path, monkeypatch):
+    lines = run_here("04_a_convex_term.py", tmp_path, monkeypatch).splitlines()
     pattern = r"CERTIFIED, base moves ([\d.]+) mm, \d+ joints turn by ([\d.]+) rad"
     found = [re.search(pattern, line).groups() for line in lines[:2]]
     (free_base, free_turn), (held_base, least_turn) = ((float(base), float(turn)) for base, turn in found)
@@ -55,8 +68,8 @@ def test_a_convex_term_leaves_joints_at_rest_and_holds_the_base(tmp_path):
     assert "is concave" in lines[2]
 
 
-def test_a_driver_is_told_a_plan_with_a_pause_and_a_moved_target(tmp_path):
-    lines = run("06_drive_a_robot.py", tmp_path).splitlines()
+def test_a_driver_is_told_a_plan_with_a_pause_and_a_moved_target(tmp_path, monkeypatch):
+    lines = run_here("06_drive_a_robot.py", tmp_path, monkeypatch).splitlines()
     assert lines[0] == "CERTIFIED"
     assert sum("l_arm_elx" in line for line in lines) >= 4
     modes = [re.search(r" s  (\w+) +reach", line).group(1) for line in lines if "reach" in line]

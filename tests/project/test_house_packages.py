@@ -12,6 +12,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from source_imports import list_import_statements
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("scopt", "costs", "perception", "service")
@@ -125,9 +126,9 @@ def test_every_library_of_tests_and_examples_is_declared_for_developers() -> Non
 
 def _imports(path: Path) -> set[str]:
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in list_import_statements(path):
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        elif node.module and not node.level:
             found.add(node.module.split(".")[0])
     return found

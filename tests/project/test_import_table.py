@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from source_imports import list_import_statements
+
 ROOT = Path(__file__).parents[2]
 SERVICE = ROOT / "service"
 EVERYWHERE = {"errors", "proto"}  # modules without imports of their own, and generated ones
@@ -26,13 +28,11 @@ def list_parts() -> set[str]:
 
 def list_imports(file: Path) -> Iterator[str]:
     """Parts of ``service`` that a file imports, anywhere in it."""
-    for node in ast.walk(ast.parse(file.read_bytes())):
+    for node in list_import_statements(file):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
-            continue
+            names = [f"{node.module}.{alias.name}" for alias in node.names if node.module]
         yield from (name.split(".")[1] for name in names if name.startswith("service."))
 
 
@@ -62,7 +62,7 @@ def test_the_modules_of_the_verifier_are_imported_by_its_own_folder_only() -> No
         f"{file.relative_to(ROOT)} imports {node.module}"
         for file in SERVICE.rglob("*.py")
         if file.relative_to(SERVICE).parts[0] != "verify"
-        for node in ast.walk(ast.parse(file.read_bytes()))
+        for node in list_import_statements(file)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("service.verify.")
     }
     assert inside == set(), "export what others need in service/verify/__init__.py"

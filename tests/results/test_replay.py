@@ -12,14 +12,13 @@ from typing import Any
 
 import pytest
 from given_wheels import wheel_request
-from shared_plans import copy_undrawn, write_example, write_once
+from shared_plans import copy_undrawn, write_example, write_once, write_undrawn
 
 from service.errors import DamagedResultError, RequestError, ResultError
 from service.planner import plan
 from service.replay.replay import read_motion, verify_result
 from service.request.file import parse_request
 from service.result.folder import read_result
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.verify.hashes import promises_hash
 
@@ -43,7 +42,7 @@ def turned() -> Path:
 def _planned(request: Any, folder: Path) -> Path:
     result = plan(request)
     assert result.verdict is Verdict.CERTIFIED, result.explanation
-    return write_result(result, folder / "out").folder
+    return write_undrawn(result, folder / "out")
 
 
 def test_a_result_is_certified_for_the_request_in_its_folder(carried: Path, turned: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from given_doors import door_request
 from given_mechanisms import drawer_request
 from given_wheels import wheel_request
+from shared_plans import write_undrawn
 from tiny_robots import atlas
 
 import costs.robot.atlas
@@ -18,7 +19,6 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
-from service.result.output import write_result
 from service.result.result import Verdict
 from service.start.robot import load_requested_robot
 from service.wire.requests import request_from_message, request_to_message
@@ -59,7 +59,7 @@ def test_a_robot_by_path_does_every_task_with_the_hands_that_it_names(
     frames = {target.frame for phase in result.motion.phases for target in phase.targets if hasattr(target, "frame")}
     assert frames
     assert all(frame.split("_")[1] in RENAMED.values() for frame in frames)
-    write_result(result, tmp_path / "out")
+    write_undrawn(result, tmp_path / "out")
     path = tmp_path / "request.json"
     path.write_text(json.dumps({**request_data, "robot": robot}))
     assert verify_result(tmp_path / "out", path)["verdict"] == "CERTIFIED"

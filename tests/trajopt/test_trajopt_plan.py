@@ -313,7 +313,7 @@ def _mistyped(key: str, at: int, letter: str) -> str:
     return key[: at % len(key)] + letter + key[at % len(key) + 1 :]
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(pick=st.integers(0, 10**6), at=st.integers(0, 20), letter=st.sampled_from("abcxyz_09 é"))
 def test_a_mistyped_key_ends_in_one_line_with_its_path_and_no_traceback(
     tmp_path: Path, pick: int, at: int, letter: str

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ import pytest
 from hull_reference import hull_distance
 from scipy.spatial import ConvexHull
 from small_robots import box
+from stranger import load_checker
 
 from costs.curve import Curve
 from costs.robot import MechanismJoint, load_robot, with_mechanism
@@ -126,7 +127,7 @@ def result(motion: Motion, certificate: Certificate) -> dict[str, Any]:
     }
 
 
-def _replay(folder: Path, result: dict[str, Any]) -> subprocess.CompletedProcess[str]:
+def _write(folder: Path, result: dict[str, Any]) -> None:
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "robot.urdf").write_text(load_robot("atlas").source.urdf)
     table = np.column_stack([result["trajectory"]["times"], result["trajectory"]["positions"]])
@@ -138,8 +139,12 @@ def _replay(folder: Path, result: dict[str, Any]) -> subprocess.CompletedProcess
         header=",".join(("time", *result["trajectory"]["joint_names"])),
         comments="",
     )
-    command = [sys.executable, str(EXAMPLES / "check_certificate.py"), str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def program() -> ModuleType:
+    """The example that replays a certificate."""
+    return load_checker()
 
 
 def test_atlas_raising_an_arm_is_certified(certificate: Certificate) -> None:
@@ -178,7 +183,9 @@ def test_hashes_change_with_what_they_name(motion: Motion, certificate: Certific
 
 
 def test_the_replay_agrees(tmp_path: Path, result: dict[str, Any]) -> None:
-    done = _replay(tmp_path, result)
+    _write(tmp_path, result)
+    command = [sys.executable, str(EXAMPLES / "check_certificate.py"), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "FAIL" not in done.stdout
     assert "clearance" in done.stdout
@@ -217,23 +224,19 @@ def _tampered(result: dict[str, Any], what: str) -> dict[str, Any]:
     ],
 )
 def test_the_replay_refuses_what_was_tampered_with(
-    tmp_path: Path, result: dict[str, Any], what: str, claim: str
+    program: ModuleType,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    result: dict[str, Any],
+    what: str,
+    claim: str,
 ) -> None:
-    done = _replay(tmp_path, _tampered(result, what))
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert any(line.startswith("FAIL") and claim in line for line in done.stdout.splitlines())
+    _write(tmp_path, _tampered(result, what))
+    assert program.main(tmp_path) == 1
+    assert any(line.startswith("FAIL") and claim in line for line in capsys.readouterr().out.splitlines())
 
 
-def test_the_replay_measures_distances_itself() -> None:
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        spec = importlib.util.spec_from_file_location("check_certificate", EXAMPLES / "check_certificate.py")
-        assert spec is not None
-        assert spec.loader is not None
-        program = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(program)
-    finally:
-        sys.path.remove(str(EXAMPLES))
+def test_the_replay_measures_distances_itself(program: ModuleType) -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
         a, b = rng.normal(size=(20, 3)), rng.normal(size=(12, 3)) + rng.normal(size=3) * 3.0

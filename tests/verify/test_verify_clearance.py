@@ -253,7 +253,7 @@ def test_fewer_halvings_never_turn_a_refuted_motion_into_a_certified_one() -> No
         assert verify(motion, VerifySettings(max_halvings=halvings)).status is not Status.CERTIFIED
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.booleans())
 def test_dense_sampling_never_refutes_what_is_certified(seed: int, is_floating: bool) -> None:
     rng = np.random.default_rng(seed)

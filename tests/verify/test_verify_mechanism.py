@@ -118,7 +118,7 @@ def test_a_latch_that_releases_at_a_negative_value_counts_by_its_sign() -> None:
     assert _check(_moves((0.0, 0.0), (0.0, -0.5), (0.5, -0.5), releases=down)).ok
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     values=st.lists(st.tuples(st.floats(-0.02, 0.2), st.floats(0.0, 0.9)), min_size=2, max_size=5),
     slopes=st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-1.0, 1.0)), min_size=5, max_size=5),

@@ -1,10 +1,7 @@
 """Rods in the hook's way, called like the rim that it may touch: no name earns an allowance."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from shared_plans import copy_undrawn, plan_once, write_once
+from stranger import check_folder
 
 from costs.allowance import BodyRef
 from costs.robot import shapes
@@ -23,7 +21,6 @@ from service.replay.replay import read_motion, verify_result
 from service.request.file import parse_request
 from service.verify import Status, VerifyError, verify
 
-CHECKER = Path(__file__).parents[2] / "examples" / "check_certificate.py"
 DEPTH = 0.013  # of the rods in the hook [m]; 30 mm are allowed in the rim
 
 
@@ -158,9 +155,9 @@ def test_a_folder_with_rods_called_like_what_may_be_touched_is_not_certified(tur
         return
     with pytest.raises(VerifyError, match=f"'{name}' is a name in the .* and in the scene"):
         verify(read_motion(json.loads((folder / "result.json").read_text()), folder))
-    replay = subprocess.run([sys.executable, CHECKER, folder], capture_output=True, text=True, check=False)
-    assert replay.returncode == 1
-    assert replay.stderr.startswith("two bodies or pieces have one name")
+    code, said = check_folder(folder)
+    assert code == 1
+    assert said.startswith("two bodies or pieces have one name")
 
 
 def test_an_allowance_moved_to_the_scene_lets_nothing_of_the_wheel_be_touched(folder):

@@ -186,7 +186,7 @@ def test_a_refuted_claim_states_an_error_near_the_largest(seed: int, share: floa
         assert abs(number - check.value * SHOWN[unit_name]) <= LAST_DIGIT[unit_name] + 1e-6
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(SEEDS, st.floats(0.0, 1.0))
 def test_errors_at_one_pose_are_those_of_other_kinematics(seed: int, where: float) -> None:
     rng = np.random.default_rng(seed)

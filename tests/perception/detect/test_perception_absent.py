@@ -13,7 +13,6 @@ from perception.simulate.scenes import make_scene
     ("scene", "seed", "sensor", "kind"),
     [
         pytest.param("knife_switch_long", 0, "dense", "valve", id="a handle on a switch box is no lever valve"),
-        pytest.param("none_fans", 1, "dense", "valve", id="the drum of a fan is no wheel"),
         pytest.param("none_fans", 1, "sparse", "valve", id="a fan seen with few rays is no wheel"),
         pytest.param("none_carts", 40, "camera", "valve", id="a rung before a rail of a hand truck is no lever valve"),
         pytest.param("knife_switch_short", 2, "solid_sparse", "panel", id="a bar before a box is no pair of buttons"),

@@ -72,7 +72,8 @@ def test_a_leaning_two_by_four_is_found_within_the_targets() -> None:
 
 
 def test_rounding_errors_of_the_fits_do_not_change_the_hits_in_a_heap(monkeypatch: pytest.MonkeyPatch) -> None:
-    view = make_view(make_scene("debris_large_heap", 0).scan("solid"))
+    cloud = make_scene("debris_large_heap", 0).scan("solid")
+    view = make_view(cloud.select(cloud.points[:, 1] > 0.0))  # a half of it
     linearize, measure = bar_fit._linearize, bar_starts.cross_sections
     expected = detect_beam(view)
     rng = np.random.default_rng(1)
@@ -90,7 +91,7 @@ def test_rounding_errors_of_the_fits_do_not_change_the_hits_in_a_heap(monkeypatc
     monkeypatch.setattr(bar_fit, "_linearize", linearize_roughly)
     monkeypatch.setattr(bar_starts, "cross_sections", measure_roughly)
     found = detect_beam(view)
-    assert len(found) == len(expected) > 5
+    assert len(found) == len(expected) > 2
     for hit, other in zip(found, expected, strict=True):
         assert np.allclose(hit.pose_world_object, other.pose_world_object, rtol=0.0, atol=1e-7)
         assert hit.confidence == pytest.approx(other.confidence, abs=1e-6)

@@ -34,18 +34,16 @@ def test_a_drill_seen_from_the_side_is_found_within_the_targets() -> None:
     assert found.pose_world_object[2, 2] >= np.cos(np.radians(5.0))
 
 
-@pytest.mark.parametrize("yaw_deg", [195.0])
-def test_a_drill_seen_from_behind_or_ahead_is_found_by_what_lies_deeper_than_its_outline(yaw_deg: float) -> None:
-    drill = Drill((0.7, 0.1, TOP), np.radians(yaw_deg)).build()
+def test_a_drill_seen_from_behind_is_found_by_what_lies_deeper_than_its_outline() -> None:
+    drill = Drill((0.7, 0.1, TOP), np.radians(195.0)).build()
     found, truth = detect("drill", view_of(*drill.meshes))[0], drill.truth[0].pose_world_object
     assert found.confidence >= CONFIDENT
     assert np.linalg.norm(found.pose_world_object[:3, 3] - truth[:3, 3]) <= 0.020
 
 
-@pytest.mark.parametrize("yaw_deg", [105.0, 195.0])
-def test_a_block_of_a_drills_outline_is_none(yaw_deg: float) -> None:
+def test_a_block_of_a_drills_outline_seen_from_behind_is_none() -> None:
     outline = [(-0.07, 0.055), (-0.05, 0.0), (0.07, 0.0), (0.13, 0.19), (0.11, 0.245), (-0.07, 0.245)]
-    yaw = np.radians(yaw_deg)
+    yaw = np.radians(195.0)
     along, across = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([-np.sin(yaw), np.cos(yaw), 0.0])
     corners = [np.array([0.7, 0.1, TOP + z]) + x * along + y * across for x, z in outline for y in (-0.03, 0.03)]
     assert all(one.confidence < CONFIDENT for one in detect("drill", view_of(hull(np.array(corners)))))
@@ -108,8 +106,7 @@ def test_every_detector_looks_at_a_flat_scene(has_floor: bool) -> None:
     assert all(hit.confidence < CONFIDENT for hit in detect_kinds(KINDS, view))
 
 
-@pytest.mark.parametrize("yaw", [0.05, np.pi])
-def test_a_drill_seen_end_on_points_the_right_way_or_has_a_low_confidence(yaw: float) -> None:
-    drill = Drill((0.8, 0.1, TOP), yaw).build()
+def test_a_drill_seen_end_on_points_the_right_way_or_has_a_low_confidence() -> None:
+    drill = Drill((0.8, 0.1, TOP), 0.05).build()
     hits = [hit for hit in detect("drill", view_of(*drill.meshes)) if hit.confidence >= CONFIDENT]
     assert all(hit.pose_world_object[:3, 0] @ drill.truth[0].pose_world_object[:3, 0] > 0.9 for hit in hits)

@@ -59,11 +59,20 @@ class ContactReplay:
             q[self.model.joints[self.model.getJointId(name)].idx_q] = value
         return np.asarray(q)
 
-    def locate(self, link: str, q: Float[np.ndarray, "nq"]) -> pin.SE3:
-        """Return a link's pose in the world."""
-        data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, q)
-        return data.oMf[self.model.getFrameId(link)].copy()
+    @cached_property
+    def poses(self) -> list[dict[str, pin.SE3]]:
+        """Poses of the links that any contact is of in the world, by row of the table."""
+        links = {contact["link"] for phase in self.data["phases"] for contact in phase["contacts"]}
+        data, frames = self.model.createData(), {link: self.model.getFrameId(link) for link in links}
+        found = []
+        for row in self.table[:, 1:]:
+            pin.framesForwardKinematics(self.model, data, self.place(row))
+            found.append({link: data.oMf[frame].copy() for link, frame in frames.items()})
+        return found
+
+    @cached_property
+    def _planes(self) -> list[Float[np.ndarray, "F 4"]]:
+        return [ConvexHull(np.array(piece["vertices"])).equations for piece in self.data["pieces"]]
 
     def measure_slip(self, phase: dict[str, Any], contact: dict[str, Any]) -> float:
         """Return how far any contact point is from its place at the samples of a phase [m]."""
@@ -71,15 +80,15 @@ class ContactReplay:
         own = _pose(contact).inverse()
         local = np.array([own.act(point) for point in points])
         worst = 0.0
-        for row in self.table[phase["first"] : phase["last"] + 1, 1:]:
-            pose = self.locate(contact["link"], self.place(row))
-            worst = max(worst, float(np.abs(np.array([pose.act(point) for point in local]) - points).max()))
+        for poses in self.poses[phase["first"] : phase["last"] + 1]:
+            pose = poses[contact["link"]]
+            worst = max(worst, float(np.abs(local @ pose.rotation.T + pose.translation - points).max()))
         return worst
 
     def measure_gap(self, contact: dict[str, Any]) -> float:
         """Return the largest distance of a contact point from the surface of the scene, and of its link [m]."""
         points = np.array(contact["sole"])
-        pieces = [ConvexHull(np.array(piece["vertices"])).equations for piece in self.data["pieces"]]
+        pieces = self._planes
         own = _pose(contact).inverse()
         bodies = [body for body in self.data["bodies"] if body["link"] == contact["link"]]
         hulls = [ConvexHull(np.array(body["vertices"])).equations for body in bodies]

@@ -9,9 +9,11 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest import mock
 
 from service import PlanRequest, load_request, plan, write_result
 from service.request.file import request_hash
+from service.result import output
 from service.result.folder import GLB_NAME, OPENRAVE_NAME, VIEWER_NAME
 from service.result.result import PlanResult, Verdict
 
@@ -57,6 +59,12 @@ def write_example(name: str) -> Path:
 def copy_undrawn(folder: Path, target: Path) -> Path:
     """Copy a result folder without its drawings, which each verification would draw again, and return the copy."""
     return Path(shutil.copytree(folder, target, ignore=shutil.ignore_patterns(VIEWER_NAME, GLB_NAME, OPENRAVE_NAME)))
+
+
+def write_undrawn(result: PlanResult, folder: Path) -> Path:
+    """Write a result folder without drawings, which take longer than all the rest, and return it."""
+    with mock.patch.object(output, "draw_views"):
+        return write_result(result, folder).folder
 
 
 @contextmanager

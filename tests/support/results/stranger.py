@@ -1,12 +1,39 @@
 """What a stranger does with a result folder: rebuild the robot from its URDF and look at the samples densely."""
 
+import contextlib
+import importlib
+import io
 import json
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import coal
 import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+def load_checker() -> ModuleType:
+    """Return the example that replays certificates."""
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        return importlib.import_module("check_certificate")
+    finally:
+        sys.path.remove(str(EXAMPLES))
+
+
+def check_folder(folder: Path) -> tuple[int, str]:
+    """Replay a certificate by that example in this process; return its exit code and all that it says."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        try:
+            code = int(load_checker().main(folder))
+        except SystemExit as end:
+            return 1, str(end.code)
+    return code, printed.getvalue()
 
 
 class Stranger:

@@ -124,7 +124,7 @@ def simulate(
     clients: Sequence[Client],
     workers: int = 2,
     queue: int = 4,
-    seconds: float = 30.0,
+    seconds: float = 15.0,
     spread: float = 0.3,
     seed: int = 0,
 ) -> Shares:
