@@ -56,7 +56,8 @@ def load_files(
     """Load a robot from a URDF or MJCF and, if given, an SRDF; see ``costs.robot.load_robot``."""
     roots = tuple(Path(folder) for folder in package_dirs) or (urdf.parent,)
     srdf_text = "" if srdf is None else read_xml_text(srdf)
-    text, notes = read_xml_text(urdf), ()
+    text = read_xml_text(urdf)
+    notes: tuple[str, ...] = ()
     if is_mjcf(text):
         from costs.robot.mjcf.convert import rewrite_mjcf  # few robots are models of MuJoCo
 
