@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.tables import print_table
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
-from service.body.equilibrium_pose import EquilibriumPose
+from service.body.forces.equilibrium_pose import EquilibriumPose
 from service.demands.egress.demand import load_phases
 from service.request.file import load_request
 from service.request.tasks.egress import EgressRequest

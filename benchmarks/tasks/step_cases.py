@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel
 from scopt import Constraint, Sense
-from service.body.equilibrium_pose import ForceLimits, solve_equilibrium_pose
+from service.body.forces.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.whole_body import Aims, WholeBody
 from service.demands import compose_scene

@@ -20,7 +20,7 @@ from costs.terms import (
     Positive,
 )
 from scopt import Cost, Residual
-from service.body.loaded_regions import PlannedRegion
+from service.body.forces.loaded_regions import PlannedRegion
 
 UPRIGHT_WEIGHT = 10.0  # of pelvis and torso, averaged over the waypoints [cost/rad^2]
 BASE_WEIGHTS = np.array([6.0, 6.0, 6.0, 2.0, 2.0, 2.0])  # 1 m of the base counts as 6 rad of a joint

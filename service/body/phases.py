@@ -15,8 +15,8 @@ from costs.robot import RobotModel
 from costs.state import MotionState
 from scopt import Constraint, Cost, Problem, Settings
 from service.body.effort import Effort
+from service.body.forces.loaded_regions import PlannedRegion
 from service.body.holds import project_onto_holds
-from service.body.loaded_regions import PlannedRegion
 from service.body.monitor import Interrupted, Monitor
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem

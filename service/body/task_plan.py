@@ -15,8 +15,8 @@ from costs.curve import Curve, TimeLaw
 from costs.robot.carried import MovableObject
 from costs.state import MotionState
 from scopt import Problem, Result
+from service.body.forces.loaded_regions import PlannedRegion
 from service.body.holds import Hold
-from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import CLEARANCE_TERMS, CLEARANCE_TOLERANCE, WholeBody
 from service.demands.phase import TaskPhase
 from service.demands.rest.earlier_motion import EarlierMotion

@@ -37,9 +37,9 @@ from costs.terms import (
 from costs.terms.rolling import FEWEST_INTERVALS
 from scopt import Constraint, Cost, Problem, Residual, Sense
 from service.body.comfort import keep_balanced, keep_in_region, keep_upright, smooth_joints
+from service.body.forces.loaded_regions import PlannedRegion, plan_contact_region
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
-from service.body.loaded_regions import PlannedRegion, plan_contact_region
 from service.demands.distances import Distances
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
 from service.request.schema import Options

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.allowance import Allowance
+from service.body.forces.loaded_regions import PlannedRegion
 from service.body.ladder import Path
-from service.body.loaded_regions import PlannedRegion
 from service.body.phases import PhaseSolver
 from service.body.task_plan import Solved
 from service.demands.phase import TaskPhase

@@ -13,9 +13,9 @@ from costs.support import SupportPolygon
 from costs.terms import AxisDirection, CentreOfMassAt, FramePose, Joined, NormWithin, WithinTolerance
 from scopt import Residual
 from service.body.comfort import RESERVE_M
+from service.body.forces.loaded_regions import PlannedRegion
 from service.body.holds import Hold, project_within_limits
 from service.body.inverse_kinematics import solve_holds
-from service.body.loaded_regions import PlannedRegion
 from service.body.whole_body import WholeBody
 from service.demands.phase import AXIS, FrameMotion, find_rotation_onto
 from service.demands.stance import BALANCE_RESERVE

@@ -17,8 +17,8 @@ from costs.robot import Mechanism, RobotModel
 from costs.state import MotionState
 from scopt import Constraint
 from service.body.effort import Effort
+from service.body.forces.loaded_regions import PlannedRegion, plan_regions
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, Path, find_motion
-from service.body.loaded_regions import PlannedRegion, plan_regions
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
 from service.body.poses import PoseProblem, Poses, Seed, find_pose, name_seeds, posture_guesses, random_guesses

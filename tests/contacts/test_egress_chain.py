@@ -15,7 +15,7 @@ from tiny_robots import PLANAR, chain
 
 from costs.contact import GRAVITY, Contact
 from costs.scene import Scene
-from service.body.loaded_regions import plan_contact_region
+from service.body.forces.loaded_regions import plan_contact_region
 from service.body.whole_body import Aims, WholeBody
 from service.demands.contacts.stances import Surface
 from service.request.tasks.egress import WeightsRequest

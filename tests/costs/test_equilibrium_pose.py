@@ -19,8 +19,8 @@ from costs.scene import ConvexPiece, Scene
 from costs.static_region import StaticRegionError, find_static_region
 from costs.terms import CentreOfMassAt, ContactForce, ContactPlace
 from scopt import Constraint, Cost, Sense
-from service.body.contact_forces import ForceRows
-from service.body.equilibrium_pose import (
+from service.body.forces.contact_forces import ForceRows
+from service.body.forces.equilibrium_pose import (
     ForceLimits,
     add_forces,
     make_planted_contacts,

@@ -12,7 +12,7 @@ from opened_door import compile_opening
 from costs.kinematics import locate_links
 from costs.stopping import Stopped, stops_when
 from service.body.comfort import RESERVE_M
-from service.body.loaded_regions import PlannedRegion
+from service.body.forces.loaded_regions import PlannedRegion
 from service.demands.phase import TaskPhase
 from service.demands.rest.earlier_motion import EarlierMotion
 from service.demands.stance import BALANCE_RESERVE

@@ -15,7 +15,7 @@ from tiny_robots import atlas
 
 from costs.curve import Curve
 from costs.scene import Scene
-from service.body.loaded_regions import plan_regions
+from service.body.forces.loaded_regions import plan_regions
 from service.body.whole_body import Aims, WholeBody
 from service.verify import HandLoad, VerifyError
 from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium

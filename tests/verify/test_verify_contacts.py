@@ -14,7 +14,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.curve import Curve, TimeLaw
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
-from service.body.loaded_regions import plan_contact_region
+from service.body.forces.loaded_regions import plan_contact_region
 from service.demands.contacts.stances import place_patch_as_it_is
 from service.demands.contacts.surfaces import make_surfaces
 from service.verify import (

@@ -14,8 +14,8 @@ from costs.state import MotionState
 from costs.terms import ContactPlace, JointTarget, WithinTolerance
 from scopt import Constraint, Cost, Sense, Settings
 from service.body.effort import Effort
-from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import keep_facing
+from service.body.forces.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
 from service.body.phases import PhaseSolver
 from service.body.poses import PoseProblem, find_pose, name_seeds

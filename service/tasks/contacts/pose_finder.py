@@ -12,7 +12,7 @@ from costs.state import MotionState
 from costs.static_region import StaticRegionError
 from costs.terms import JointTarget
 from scopt import Cost
-from service.body.loaded_regions import plan_contact_region
+from service.body.forces.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver
 from service.body.poses import PoseProblem, find_pose, posture_guesses
 from service.body.sampling import free_coordinates

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from service.body.equilibrium_pose import EquilibriumPose
+from service.body.forces.equilibrium_pose import EquilibriumPose
 from service.demands.contacts.stances import ContactStance, StanceContact, place_patch_as_it_is
 from service.tasks.egress.aims import ContactAim
 from service.tasks.egress.poses import PoseSolver

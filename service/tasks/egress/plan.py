@@ -18,7 +18,7 @@ from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
 from costs.stopping import poll
 from scopt import Status
-from service.body.equilibrium_pose import EquilibriumPose
+from service.body.forces.equilibrium_pose import EquilibriumPose
 from service.body.phases import Map
 from service.demands.contacts.stances import ContactStance
 from service.demands.contacts.surfaces import make_surfaces

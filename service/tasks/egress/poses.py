@@ -24,9 +24,9 @@ from costs.terms import AxisDirection, ContactForce, FramePose, FrictionPyramid,
 from scopt import Cost, Residual, Settings, Status
 from service.body.comfort import RESERVE_M, keep_in_region, reserve_balance
 from service.body.effort import FORCE_SETTINGS
-from service.body.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
 from service.body.facing import FLAT_POINTS
-from service.body.loaded_regions import plan_contact_region
+from service.body.forces.equilibrium_pose import EquilibriumPose, ForceLimits, solve_equilibrium_pose
+from service.body.forces.loaded_regions import plan_contact_region
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem, Poses
 from service.body.whole_body import Aims, WholeBody

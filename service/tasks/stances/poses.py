@@ -15,7 +15,7 @@ from costs.allowance import BodyRef
 from costs.kinematics import locate_frame, locate_links
 from costs.robot import Mechanism, RobotModel
 from costs.static_region import StaticRegionError
-from service.body.loaded_regions import plan_regions
+from service.body.forces.loaded_regions import plan_regions
 from service.body.phases import PhaseSolver
 from service.body.whole_body import WholeBody
 from service.demands.hands import Hand, list_robot_hands

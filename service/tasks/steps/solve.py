@@ -17,6 +17,7 @@ from costs.state import MotionState
 from costs.terms import JointTarget
 from scopt import Constraint, Sense
 from service.body.effort import Effort
+from service.body.forces.loaded_regions import PlannedRegion, plan_world_region
 from service.body.holds import (
     Hold,
     KeptPose,
@@ -26,7 +27,6 @@ from service.body.holds import (
 )
 from service.body.inverse_kinematics import solve_holds
 from service.body.ladder import Ends, GivenEnd, MotionSearch, NoEnd, Path, find_motion
-from service.body.loaded_regions import PlannedRegion, plan_world_region
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
 from service.body.starts import DIRECT, End, Way, choose_policy

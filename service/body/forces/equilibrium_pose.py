@@ -23,8 +23,8 @@ from costs.terms import (
     Widened,
 )
 from scopt import Constraint, Cost, Problem, Result, Sense, Settings, TrustRegionSQP
-from service.body.contact_forces import ForceRows
 from service.body.effort import FORCE_SETTINGS
+from service.body.forces.contact_forces import ForceRows
 from service.body.task_plan import Solved
 from service.body.whole_body import WholeBody
 
