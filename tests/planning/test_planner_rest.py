@@ -191,18 +191,14 @@ def test_the_rest_can_be_planned_again_itself(turned: Path, tmp_path: Path) -> N
     assert request.resume.stroke == _rest(turned, "turn", _state(turned, "turn", 0.3), tmp_path).resume.stroke
 
 
-@pytest.mark.parametrize(
-    ("phase", "share", "first"), [("move slide", 0.4, "move slide"), ("approach", 0.0, "approach")]
-)
-def test_a_given_mechanism_is_moved_on(phase: str, share: float, first: str, pulled: Path, tmp_path: Path) -> None:
-    state = _state(pulled, phase, share)
-    request = _rest(pulled, phase, state, tmp_path)
+def test_a_given_mechanism_is_moved_on(pulled: Path, tmp_path: Path) -> None:
+    request = _rest(pulled, "move slide", _state(pulled, "move slide", 0.4), tmp_path)
     assert request.resume is not None
     assert request.resume.hold is not None
     assert request_from_message(request_to_message(request)) == request
     again = _write(plan(request), tmp_path)
     data = read_result(again)
-    assert data["phases"][0]["name"] == first
+    assert data["phases"][0]["name"] == "move slide"
     assert data["figures"]["slide_m"] == pytest.approx(0.25, abs=1e-3)
     assert verify_result(again)["verdict"] == "CERTIFIED"
     other = replace(request, resume=replace(request.resume, hold=None))

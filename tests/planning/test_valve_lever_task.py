@@ -160,9 +160,9 @@ def test_the_lever_of_a_request_is_the_one_that_is_planned_for():
 @pytest.mark.parametrize(
     ("grip", "axis", "direction"),
     [
-        (0.0, (-1.0, 0.05, 0.1), (0.1, -0.5, 0.8)), (0.1, TILTED, (0.1, -0.5, 0.8)), (0.1, TILTED, (0.0, -0.97, 0.2)),
+        (0.0, (-1.0, 0.05, 0.1), (0.1, -0.5, 0.8)), (0.1, TILTED, (0.0, -0.97, 0.2)),
     ],
-    ids=["lever", "crank", "crank along its pipe"],
+    ids=["lever", "crank along its pipe"],
 )  # fmt: skip
 def test_a_scan_shows_a_lever_whose_points_are_no_obstacle(grip, axis, direction):
     lever = LeverValve((0.72, 0.05, 1.1), axis, direction, 0.24, pipe_direction=(0.0, 1.0, 0.0), grip=grip)

@@ -26,7 +26,7 @@ def _scenes(robot):
     return {task: next(two_handed_scenes(robot, N_BOXES, task, seed)) for task, seed in (("poses", 0), ("beam", 2))}
 
 
-def samples(scene, n=50):
+def samples(scene, n=20):
     knots = scene.witness.curve.knots
     return scene.witness.curve(np.linspace(knots[0], knots[-1], n))
 

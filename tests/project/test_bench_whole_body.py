@@ -31,7 +31,7 @@ def scenes(robot):
     return [next(crowded_scenes(robot, N_BOXES, is_pose=is_pose, seed=10)) for is_pose in (False, True)]
 
 
-def samples(scene, n=50):
+def samples(scene, n=20):
     knots = scene.witness.curve.knots
     return scene.witness.curve(np.linspace(knots[0], knots[-1], n))
 
