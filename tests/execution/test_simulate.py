@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from given_wheels import wheel_request
 from planar_arm import write_planar_arm
-from shared_plans import plan_once, write_example, write_once
+from shared_plans import plan_example, plan_once, write_example, write_once
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -50,9 +50,9 @@ def planned(request: Any, folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def reached() -> Path:
-    """A reach of Atlas among obstacles."""
-    return write_example("pose_goal")
+def reached(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A reach of Atlas among obstacles, with its page."""
+    return write_result(plan_example("pose_goal"), tmp_path_factory.mktemp("reached") / "out").folder
 
 
 @pytest.fixture(scope="module")

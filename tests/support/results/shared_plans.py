@@ -38,11 +38,11 @@ def plan_once(request: PlanRequest) -> PlanResult:
 
 
 def write_once(request: PlanRequest) -> Path:
-    """Return the result folder of a request's plan; a test that changes files copies it first."""
+    """Return the result folder of a request's plan, without drawings; a test that changes files copies it first."""
     result = plan_once(request)
     with _kept(request, "") as (path, is_new):
         if is_new:
-            _write_whole(path, lambda there: write_result(result, there))
+            _write_whole(path, lambda there: write_undrawn(result, there))
     return path
 
 
