@@ -17,7 +17,7 @@ from service.server.admission import Admission
 from service.trust.rpc import Refusal
 
 KIND = "reach"
-IMPATIENCE = 0.2  # of the duration of a plan, after which a client that ignores the delay comes again
+IMPATIENCE = 0.5  # of the duration of a plan, after which a client that ignores the delay comes again
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def simulate(
     clients: Sequence[Client],
     workers: int = 2,
     queue: int = 4,
-    seconds: float = 15.0,
+    seconds: float = 30.0,
     spread: float = 0.3,
     seed: int = 0,
 ) -> Shares:
