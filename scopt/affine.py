@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
 Compressed = TypeVar("Compressed", sparse.csr_array, sparse.csc_array)
+Made = TypeVar("Made", sparse.csr_array, sparse.csc_array, sparse.csc_matrix)
 Parts = tuple[Float[np.ndarray, "E"], Int[np.ndarray, "E"], Int[np.ndarray, "L"]]
 """Entries, their indices along the other axis, and where each row (CSR) or column (CSC) begins among them."""
 
@@ -48,6 +48,12 @@ class AffineRows:
         stored = np.repeat(these, counts)
         parts = jacobian.data[stored], jacobian.indices[stored], indptr
         return AffineRows(self.value[these], store_rows(parts, (len(indptr) - 1, jacobian.shape[1])))
+
+    def scale_rows(self, factors: Float[np.ndarray, "m"]) -> AffineRows:
+        """Return each row times its factor."""
+        jacobian = self.jacobian
+        parts = jacobian.data * np.repeat(factors, np.diff(jacobian.indptr)), jacobian.indices, jacobian.indptr
+        return AffineRows(self.value * factors, store_rows(parts, jacobian.shape))
 
     @staticmethod
     def empty(n_variables: int) -> AffineRows:
@@ -130,7 +136,7 @@ def store_columns(parts: Parts, shape: tuple[int, int]) -> sparse.csc_array:
 
 def store_matrix(columns: sparse.csc_array) -> sparse.csc_matrix:
     """Return the same entries, not copied, as the type that some solvers expect."""
-    made = copy.copy(_make_empty_matrix(*columns.shape))
+    made = _copy(_make_empty_matrix(*columns.shape))
     made.data, made.indices, made.indptr = columns.data, columns.indices, columns.indptr
     return made
 
@@ -139,8 +145,15 @@ def _fill(empty: Compressed, parts: Parts) -> Compressed:
     data, indices, indptr = parts
     if indices.dtype != indptr.dtype:  # scipy's loops need one type
         return type(empty)(parts, shape=empty.shape)
-    made = copy.copy(empty)
+    made = _copy(empty)
     made.data, made.indices, made.indptr = data, indices, indptr
+    return made
+
+
+def _copy(empty: Made) -> Made:
+    """Return ``copy.copy`` of an array without entries, in a tenth of its time."""
+    made = object.__new__(type(empty))
+    made.__dict__.update(empty.__dict__)
     return made
 
 

@@ -211,8 +211,7 @@ def _make_equalities(rows: WeightedRows, subproblem: Subproblem) -> tuple[sparse
     row, col = jacobian.coords[0], column[jacobian.coords[1]]
     kept = col >= 0
     moving, index = np.unique(row[kept], return_inverse=True)
-    entries = jacobian.data[kept], (index, col[kept])
-    E = sparse.csc_array(entries, shape=(len(moving), len(subproblem.program.c)))
+    E = _sort_columns(jacobian.data[kept], index, col[kept], (len(moving), len(subproblem.program.c)))
     return E, -rows.rows.value[moving]
 
 

@@ -34,6 +34,8 @@ class FramePlace:
         """Return world rotation and position at waypoints."""
         if not self.joint:
             count = len(waypoints)
+            if len(self._rotation) == count:
+                return self._rotation, self._position
             return np.broadcast_to(self._rotation, (count, 3, 3)), np.broadcast_to(self._position, (count, 3))
         rotation = kinematics.rotation[waypoints, self.joint]
         position = kinematics.position[waypoints, self.joint]

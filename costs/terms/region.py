@@ -38,7 +38,7 @@ class BeyondBox(Residual[StateT]):
     def linearize(self, state: StateT) -> AffineRows:
         rows = self._residual.linearize(state)
         beyond, is_beyond = self._split(rows.value)
-        return AffineRows(beyond, sparse.csr_array(sparse.diags_array(is_beyond) @ rows.jacobian))
+        return AffineRows(beyond, rows.scale_rows(is_beyond).jacobian)
 
     def _split(self, value: Float[np.ndarray, "m"]) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]:
         """Return the excess of each row, and 1.0 where there is one."""

@@ -149,8 +149,7 @@ class Positive(Residual[StateT]):
 
     def linearize(self, state: StateT) -> AffineRows:
         rows = self._residual.linearize(state)
-        beyond = (rows.value > 0.0).astype(float)
-        return AffineRows(np.maximum(rows.value, 0.0), sparse.csr_array(sparse.diags_array(beyond) @ rows.jacobian))
+        return rows.scale_rows((rows.value > 0.0).astype(float))
 
 
 class NormWithin(Residual[StateT]):

@@ -78,11 +78,18 @@ def list_carrying_pieces(corners: Float[np.ndarray, "C 3"], pieces: Sequence[Con
 
     Space that no scan has seen carries nothing.
     """
+    lower = np.array([piece.lower for piece in pieces]).reshape(-1, 3) - GROUND_TOLERANCE_M
+    upper = np.array([piece.upper for piece in pieces]).reshape(-1, 3) + GROUND_TOLERANCE_M
+    is_near = np.all((corners.min(axis=0) <= upper) & (lower <= corners.max(axis=0)), axis=1)
     return tuple(
         piece.name
-        for piece in pieces
+        for piece, near in zip(pieces, is_near.tolist(), strict=True)
         if piece.kind == FLOOR_KIND
-        or (piece.kind != UNSEEN_KIND and np.abs(find_ground_gaps(corners, [piece])).min() <= GROUND_TOLERANCE_M)
+        or (
+            near
+            and piece.kind != UNSEEN_KIND
+            and np.abs(find_ground_gaps(corners, [piece])).min() <= GROUND_TOLERANCE_M
+        )
     )
 
 

@@ -53,3 +53,11 @@ def test_columns_are_sorted_and_entries_at_one_place_added():
         wanted = sparse.csc_array((np.arange(1.0, 5.0)[kept], (row[kept], column[kept])), shape=(3, 5))
         np.testing.assert_array_equal(made.toarray(), wanted.toarray())
         assert made.has_sorted_indices
+
+
+def test_rows_are_scaled_with_their_values():
+    jacobian = sparse.csr_array(sparse.random_array((4, 9), density=0.5, rng=np.random.default_rng(1)))
+    factors = np.array([0.0, -1.0, 2.0, 0.5])
+    scaled = AffineRows(np.arange(4.0), jacobian).scale_rows(factors)
+    np.testing.assert_array_equal(scaled.value, [0.0, -1.0, 4.0, 1.5])
+    np.testing.assert_array_equal(scaled.jacobian.toarray(), factors[:, None] * jacobian.toarray())

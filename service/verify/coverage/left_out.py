@@ -179,8 +179,8 @@ class _Samples:
     def depths(self, pairs: Sequence[tuple[str, str]]) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "K S"]]:
         """Return the same for each pair of bodies of each pair of links, and the number of its pair of links."""
         of_link: dict[str, list[int]] = {}
-        for k, solid in enumerate(self.solids):
-            of_link.setdefault(solid.link, []).append(k)
+        for body, solid in enumerate(self.solids):
+            of_link.setdefault(solid.link, []).append(body)
         both = [(n, i, j) for n, (a, b) in enumerate(pairs) for i, j in product(of_link[a], of_link[b])]
         number, first, second = np.array(both, dtype=int).reshape(-1, 3).T  # of the links, and of their bodies
         between = self.centres[:, first] - self.centres[:, second]
