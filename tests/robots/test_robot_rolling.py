@@ -18,9 +18,8 @@ from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.state import MotionState
-from costs.terms.rolling import RollingBase
+from costs.terms.rolling import RollingBase, roll_path, stop_between
 from service import certify, load_request, plan, read_trajectory, write_result
-from service.body.rolling import roll_path, stop_between
 from service.replay.replay import verify_result
 from service.result.result import PlanResult
 from service.verify import Motion, Phase, verify
