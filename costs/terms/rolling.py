@@ -19,8 +19,10 @@ FEWEST_INTERVALS = len(CHANGES) + 1
 
 def find_drives(n_intervals: int) -> Bool[np.ndarray, "I"]:
     """Return which intervals of a path drive; the base turns on the spot in the others, before, between and after."""
-    at = (np.arange(n_intervals) + 0.5) / n_intervals
-    return np.asarray(np.searchsorted(CHANGES, at) % 2 == 1)
+    # Each part has an interval of its own, the others are shared.
+    spare = max(n_intervals - FEWEST_INTERVALS, 0)
+    changes = np.arange(1, FEWEST_INTERVALS) + np.round(spare * np.array(CHANGES)).astype(int)
+    return np.asarray(np.searchsorted(changes, np.arange(n_intervals), side="right") % 2 == 1)
 
 
 def roll_path(q: Float[np.ndarray, "T n"]) -> Float[np.ndarray, "T n"]:
