@@ -27,7 +27,7 @@ from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock, Settings
 from scopt import Status as SolveStatus
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
-from service.body.phases import Map, PhaseSolver, Terms
+from service.body.phases import Map, PhaseSolver, Terms, no_terms
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
 from service.errors import RequestError
@@ -173,7 +173,7 @@ def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
     for task in plan_task(setup, solver):
         attempt.begin(task)
         if task.phases:
-            _certify(task, setup, solver.monitor, attempt)
+            _certify(task, setup, solver, attempt)
         body = solver.body
         if attempt.verdict is not Verdict.CERTIFIED and not attempt.meeting <= body.kept_apart:
             apart = body.keep_apart(attempt.meeting)
@@ -184,11 +184,13 @@ def _search(setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> bool:
     return False
 
 
-def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attempt) -> None:
+def _certify(task: TaskPlan, setup: PlanSetup, solver: PhaseSolver, attempt: Attempt) -> None:
     """Make the task's motion, verify it, and repair it where a check fails.
 
-    A motion that the optimiser calls infeasible counts as solved if it does the whole task and its certificate holds.
+    A motion that the optimiser calls infeasible counts as solved if it does the whole task and its certificate holds,
+    unless the caller's own terms are in it, which no certificate covers.
     """
+    monitor = solver.monitor
     repaired: TaskPlan | None = task
     for _ in range(MAX_REPAIRS + 1):
         if repaired is None:
@@ -200,7 +202,7 @@ def _certify(task: TaskPlan, setup: PlanSetup, monitor: Monitor, attempt: Attemp
             is_solved = repaired.is_feasible
             settings = VerifySettings() if is_solved else CANDIDATE
             certificate = verify(motion, settings)
-            if not is_solved and certificate.status is not Status.VIOLATED:
+            if not is_solved and solver.terms is no_terms and certificate.status is not Status.VIOLATED:
                 from service.replay.whole import certify_whole  # loads what every kind of task demands
 
                 whole = certify_whole(setup, motion, settings)

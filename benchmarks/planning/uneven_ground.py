@@ -30,7 +30,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import EffortClock
-from service.body.holds import Hold, project_onto_holds
+from service.body.holds import Hold, project_onto_holds, project_within_limits
 from service.body.whole_body import WholeBody
 from service.planner import plan
 from service.request.file import parse_request
@@ -94,7 +94,11 @@ def stand_on(body: WholeBody, ground: Ground) -> Float[np.ndarray, "n"]:
     q[2] += np.concatenate([foot.points for foot in planted])[:, 2].mean() - BENT_M
     height, column = q[2:3].copy(), np.array([2])
     lowered: Hold = lambda waypoints: JointTarget(len(waypoints), body.robot.n, waypoints, column, height)  # noqa: E731
-    return np.asarray(project_onto_holds(body.engine, q[None], [*moved.holds(), *moved.hold_in_balance(), lowered])[0])
+    holds = [*moved.holds(), *moved.hold_in_balance(), lowered]
+    # Joints whose range begins where they stand, such as fingers, stay there.
+    q = project_within_limits(body.engine, q[None], holds, body.robot.lower, body.robot.upper)[0]
+    stuck = (q <= body.robot.lower) | (q >= body.robot.upper)
+    return np.asarray(project_onto_holds(body.engine, q[None], holds, stuck)[0])
 
 
 def draw_cases(stander: Stander, robot: RobotModel, kinds: list[str], seed: int) -> Iterator[tuple[str, Any]]:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
 from costs.kinematics import Kinematics, KinematicsEngine, locate_links
-from costs.robot import RobotModel
+from costs.robot import PLANAR_NAMES, RobotModel
 from costs.state import MotionState
 from costs.stopping import poll
 from costs.terms import AxisDirection, FramePose, NormWithin
@@ -115,6 +115,13 @@ def find_prescribed(robot: RobotModel) -> Bool[np.ndarray, "n"]:
     for joint in {body.joint for body in robot.bodies if body.link in robot.mechanism_links}:
         prescribed[robot.model.joints[joint].idx_v] = True
     return prescribed
+
+
+def find_led(robot: RobotModel) -> Bool[np.ndarray, "n"]:
+    """Return the mask of coordinates that no hold of a curve may move: a mechanism's, and those of a rolling base."""
+    led = find_prescribed(robot)
+    led[: len(PLANAR_NAMES)] |= robot.rolls
+    return led
 
 
 def least_norm_step(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:

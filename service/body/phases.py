@@ -13,6 +13,7 @@ from costs.allowance import Allowance, BodyRef
 from costs.collision import Contacts
 from costs.robot import RobotModel
 from costs.state import MotionState
+from costs.terms.rolling import roll_path
 from scopt import Constraint, Cost, Problem, Settings
 from service.body.effort import Effort
 from service.body.forces.loaded_regions import PlannedRegion
@@ -20,7 +21,6 @@ from service.body.holds import project_onto_holds
 from service.body.monitor import Interrupted, Monitor
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem
-from service.body.rolling import roll_path
 from service.body.sampling import (
     HeldProblem,
     SamplingProblem,
@@ -46,6 +46,11 @@ Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 """Calls a function for every item and returns the results in order, as ``map`` does."""
 
 
+def no_terms(phase: str, robot: RobotModel, n_waypoints: int) -> Sequence[Cost[MotionState] | Constraint[MotionState]]:
+    """Return no terms: the caller of a plan adds none."""
+    return ()
+
+
 @dataclass(frozen=True)
 class PhaseSolver:
     """Solves poses and trajectories of one body under one monitor.
@@ -68,7 +73,7 @@ class PhaseSolver:
     overrides: tuple[tuple[BodyRef, BodyRef, float], ...] = ()
     most_starts: int = MOST_STARTS
     seed: int = 0
-    terms: Terms = lambda phase, robot, n_waypoints: ()
+    terms: Terms = no_terms
     map: Map = map
     hand_friction: tuple[float, float] = HAND_FRICTION
 

@@ -12,15 +12,16 @@ from scipy.linalg import solve_banded
 from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.stopping import poll
+from costs.terms.rolling import stop_between, straighten
 from service.body.holds import (
     DRIFT,
     Hold,
+    find_led,
     largest_hold_error,
     least_norm_step,
     linearize_holds,
     project_onto_holds,
 )
-from service.body.rolling import find_led, stop_between, straighten
 from service.body.task_plan import KeptCurve
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve

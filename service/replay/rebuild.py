@@ -144,10 +144,9 @@ def _rebuild_robot(
     """Return the robot and its source; only a user's request has robot files read again."""
     if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
         return attach_bodies(load_requested_robot(request, finds_package=is_given), request), request_from
-    if record.robot.rolls != (request.robot.root == "differential"):
+    if request.robot.root == "differential" and not record.robot.rolls:
         raise RequestError(
-            f"robot.root: {request.robot.root}; the robot in this folder "
-            f"{'cannot slide sideways' if record.robot.rolls else 'slides sideways'}, expected the same"
+            "robot.root: differential; the robot in this folder may slide sideways, expected one that cannot"
         )
     links = {body.link for body in record.robot.bodies}
     missing = [attached.name for attached in request.attached if attached.name not in links]

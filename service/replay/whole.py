@@ -10,10 +10,15 @@ from service.verify import Certificate, Motion, VerifySettings, verify
 
 
 def certify_whole(setup: PlanSetup, motion: Motion, settings: VerifySettings | None = None) -> Certificate | None:
-    """Certify a motion for the demands of its request, made anew; None where phases or promises of it are missing."""
+    """Certify a motion for the demands of its request, made anew; None where phases or promises of it are missing.
+
+    None also where the request demands more than a verifier checks: of that the optimiser alone knows.
+    """
     try:
         demands = make_setup_demands(setup)
     except RequestError:  # nothing to hold a motion to
+        return None
+    if demands.task.unproven:
         return None
     held = hold_to_request(demands, motion)
     if held.differences:

@@ -18,9 +18,8 @@ from costs.curve import Curve
 from costs.kinematics import KinematicsEngine
 from costs.robot import RobotError, RobotModel, load_robot
 from costs.state import MotionState
-from costs.terms.rolling import RollingBase
+from costs.terms.rolling import RollingBase, roll_path, stop_between
 from service import certify, load_request, plan, read_trajectory, write_result
-from service.body.rolling import roll_path, stop_between
 from service.replay.replay import verify_result
 from service.result.result import PlanResult
 from service.verify import Motion, Phase, verify
@@ -111,7 +110,7 @@ def test_the_bound_is_never_below_the_slide(cart: RobotModel, data: st.DataObjec
     assert check.value <= 1.2 * slide + 0.05  # and not far above it
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_any_path_becomes_turns_and_drives(data: st.DataObject) -> None:
     rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))

@@ -182,6 +182,14 @@ def test_constraints_that_fight_are_named_by_their_path() -> None:
     assert any(line.startswith("constraints[1] cart_vel is missed by") for line in result.explanation)
 
 
+def test_a_motion_that_breaks_what_no_check_stands_for_is_not_certified() -> None:
+    # The verifier would find nothing wrong with the straight line, which is 0.1 m too fast for its steps.
+    slow = term("cart_vel", link="tool", max_displacement=1e-3, first_step=0, last_step=4)
+    result = of_arm(document(constraints=[term("joint", vals=[0.8, *[0.0] * 6]), slow]), options={"starts": 1})
+    assert result.verdict is not Verdict.CERTIFIED
+    assert any("cart_vel is missed by" in line for line in result.explanation)
+
+
 def test_a_phase_solved_anew_keeps_its_steps_and_its_promises() -> None:
     data = json.loads((EXAMPLES / "arm_around_table.json").read_text())
     data["constraints"].append(
