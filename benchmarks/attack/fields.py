@@ -22,8 +22,7 @@ from benchmarks.attack import bases, judges
 from benchmarks.attack.forgery import Folder, Level
 from benchmarks.attack.outcome import Answer, Attack
 from service.replay import replay
-from service.verify import Certificate, Motion, verify
-from service.verify.hashes import bodies_hash, robot_hash, scene_hash
+from service.verify import Certificate, Motion, bodies_hash, robot_hash, scene_hash, verify
 
 BASES = (
     "drawer",

@@ -26,9 +26,17 @@ from service.result.manifest import write_manifest
 from service.result.motion_json import motion_from_json, motion_json
 from service.result.phase_report import PhaseReport, PhaseStatus, report_phases
 from service.result.result_json import add_reports
-from service.verify import Motion, VerifyError, verify
-from service.verify.carrying.placing import split_motion
-from service.verify.hashes import bodies_hash, link_vertices, promises_hash, robot_hash, scene_hash
+from service.verify import (
+    Motion,
+    VerifyError,
+    bodies_hash,
+    link_vertices,
+    promises_hash,
+    robot_hash,
+    scene_hash,
+    split_motion,
+    verify,
+)
 
 ROBOT_HERE = "the robot in this folder"
 DRAWN = ("arm",)  # whose edits include that of its drawings

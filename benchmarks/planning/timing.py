@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.planning.timing_reference import chain, fastest_duration, spline_through, timing_problems
 from benchmarks.tables import print_table
 from service.motion.timing import time_curve
-from service.verify.limits import measure_timed_peaks
+from service.verify import measure_timed_peaks
 
 N_PROBLEMS = 60
 MEAN_TARGET, MOST_TARGET = 1.03, 1.08

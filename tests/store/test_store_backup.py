@@ -44,6 +44,14 @@ def test_a_backup_of_a_store_in_use_has_every_plan_with_its_files(data: Path, tm
                 store.plans.check_archive(record)
 
 
+def test_files_beside_the_store_are_copied_but_for_locks_and_what_is_being_written(data: Path, tmp_path: Path) -> None:
+    (data / "scans").mkdir()
+    for name in ("scan.npz", "lock", ".partial-1"):
+        (data / "scans" / name).write_bytes(b"points")
+    back_up(data, tmp_path / "copy")
+    assert [path.name for path in (tmp_path / "copy" / "scans").iterdir()] == ["scan.npz"]
+
+
 def test_a_backup_names_plans_whose_files_are_not_what_was_stored(data: Path, tmp_path: Path) -> None:
     (damaged,) = [plan_id for plan_id, _, archive_bytes in _list(data) if archive_bytes]
     archive = data / "plans" / "archives" / damaged

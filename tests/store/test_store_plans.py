@@ -107,6 +107,14 @@ def test_after_a_restart_unfinished_plans_are_lost_and_their_requests_run_again(
         assert store.plans.begin("ann", "r1", "b" * 64, "goal").state is PlanState.LOST
 
 
+def test_after_a_restart_plans_with_time_left_are_begun_again_and_late_ones_are_lost(tmp_path: Path) -> None:
+    with Store(tmp_path) as store:
+        late, early = (store.plans.begin("ann", "", SHA, "goal", b"request", when) for when in (100.0, 100.5))
+    with Store(tmp_path, clock=lambda: 100.0) as store:
+        assert [plan.plan_id for plan in store.plans.resumable] == [early.plan_id]
+        assert "deadline" in store.plans.get(late.plan_id).why_lost
+
+
 def test_a_plan_that_was_given_up_may_run_again(tmp_path: Path) -> None:
     with Store(tmp_path) as store:
         plan_id = store.plans.begin("ann", "r1", SHA, "goal").plan_id

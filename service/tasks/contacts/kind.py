@@ -15,7 +15,7 @@ from service.request.tasks.contacts import ContactsRequest
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings
 from service.tasks.contacts.displaced import displace_contacts
-from service.tasks.contacts.known_motion import make_known_motion
+from service.tasks.contacts.known_poses import make_known_poses
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.kind import PlanPart
 
@@ -32,7 +32,7 @@ class ContactsPlanPart(PlanPart[ContactsRequest]):
         """Yield the plan through all stances."""
         robot, resume = setup.robot, setup.request.resume
         earlier = read_earlier_motion(robot, None if resume is None else resume.nominal, np.zeros(robot.n))
-        known = make_known_motion(robot, section, earlier)
+        known = make_known_poses(robot, section, earlier)
         finish = None if section.finish is None else robot.postures[section.finish]
         yield plan_contact_motion(solver, setup.stances, finish, known)
 

@@ -14,7 +14,7 @@ from service.demands.contacts.moved_places import list_movable, move_place
 from service.demands.contacts.phases import list_contact_phases
 from service.demands.contacts.stances import ContactStance
 from service.demands.phase import TaskPhase
-from service.tasks.contacts.known_motion import KnownMotion
+from service.tasks.contacts.known_poses import KnownPoses
 from service.tasks.contacts.pose_finder import MissingPose, PoseFinder, StuckError
 from service.tasks.contacts.walker import N_TRIES, PLAIN_TRIES, Walker
 
@@ -26,7 +26,7 @@ def plan_contact_motion(
     solver: PhaseSolver,
     stances: Sequence[ContactStance],
     finish: Float[np.ndarray, "n"] | None = None,
-    guesses: KnownMotion | None = None,
+    guesses: KnownPoses | None = None,
     n_tries: int = N_TRIES,
 ) -> TaskPlan:
     """Plan the motion from the solver's nominal configuration, in the first stance, through all others.
@@ -40,7 +40,7 @@ def plan_contact_motion(
     """
     if guesses is not None:
         solver = replace(solver, body=replace(solver.body, is_comfortable=False))
-    finder = PoseFinder(solver, guesses or KnownMotion(), np.zeros(solver.body.robot.n))
+    finder = PoseFinder(solver, guesses or KnownPoses(), np.zeros(solver.body.robot.n))
     walker = Walker(finder, n_tries)
     course = _Course(walker, tuple(stances), finish is not None)
     first = finder.stand_on(stances[0].contacts) if stances else None

@@ -20,7 +20,7 @@ from service.body.task_plan import Stuck
 from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import ContactChange, StanceContact, make_contact_allowances
 from service.tasks.contacts.held_pose import KNOWN_WEIGHT, HeldPose
-from service.tasks.contacts.known_motion import KnownMotion
+from service.tasks.contacts.known_poses import KnownPoses
 from service.tasks.phase_terms import shrink
 
 DEPTH_RESERVE = 1.5e-3  # of an allowance, for the curve between waypoints [m]
@@ -73,7 +73,7 @@ class PoseFinder:
     """
 
     solver: PhaseSolver
-    guesses: KnownMotion
+    guesses: KnownPoses
     noise: Float[np.ndarray, "n"]
     arrives_first: bool = False
     keeps_poses: bool = True

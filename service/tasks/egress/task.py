@@ -13,7 +13,7 @@ from service.demands.contacts.contact_task import face_pieces
 from service.demands.contacts.stances import ends_with_new_contacts
 from service.request.tasks.egress import EgressRequest
 from service.setup.prepare import PlanSetup
-from service.tasks.contacts.known_motion import KnownMotion
+from service.tasks.contacts.known_poses import KnownPoses
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.egress.chain import Chain
 from service.tasks.egress.plan import PosePlan, StageCount, describe_graph, plan_poses
@@ -78,7 +78,7 @@ def _plan_motion(setup: PlanSetup, solver: PhaseSolver, chain: Chain) -> TaskPla
     ]
     names = [stance.name for stance in stances[1:]]
     steps = list(zip(names, chain.transitions, strict=True))
-    guesses = KnownMotion(
+    guesses = KnownPoses(
         {name: step.leaving.q for name, step in steps if step.leaving is not None},
         {name: step.arriving.q for name, step in steps if step.arriving is not None},
         {name: pose.q for name, pose in zip(names, chain.poses[1:], strict=True)},

@@ -1,4 +1,4 @@
-"""Poses and motions of an earlier plan that did the same, from which a motion that changes contacts begins."""
+"""Poses that are known before a motion that changes contacts is planned: of an earlier motion, or of a chain."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from service.start.configuration import make_posture
 
 
 @dataclass(frozen=True)
-class KnownMotion:
-    """Configurations and motions that are known already.
+class KnownPoses:
+    """Configurations that are known already, and the earlier motion that led through them.
 
     Attributes:
         leave: by stance that they lead to: in which the contacts that stay hold the robot alone, before others leave.
@@ -31,7 +31,7 @@ class KnownMotion:
     earlier: EarlierMotion = field(default_factory=EarlierMotion)
 
 
-def make_known_motion(robot: RobotModel, request: ContactsRequest, earlier: EarlierMotion) -> KnownMotion | None:
+def make_known_poses(robot: RobotModel, request: ContactsRequest, earlier: EarlierMotion) -> KnownPoses | None:
     """Return the postures that a request moves to and what the earlier motion did before them; None without any.
 
     An earlier motion of other joints, or without knots, says nothing.
@@ -55,4 +55,4 @@ def make_known_motion(robot: RobotModel, request: ContactsRequest, earlier: Earl
         {stance.name: ends[name] for stance in request.stances if (name := f"{stance.name}: {kind}") in ends}
         for kind in ("shift", "land")
     )
-    return KnownMotion(leave, arrive, there, replace(earlier, curves=curves))
+    return KnownPoses(leave, arrive, there, replace(earlier, curves=curves))
