@@ -217,7 +217,14 @@ def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
     timing = TimingSettings(options.speed_share, options.acceleration_share)
     if options.pace is not None:
         timing = TimingSettings.at_pace(options.pace)
-    timing = replace(timing, jerk_scale=options.jerk_scale, tool_speed_m_s=options.tool_speed_m_s)
+    start_rates, end_rates = request.end_rates
+    timing = replace(
+        timing,
+        jerk_scale=options.jerk_scale,
+        tool_speed_m_s=options.tool_speed_m_s,
+        start_rates=start_rates,
+        end_rates=end_rates,
+    )
     motion = make_motion(task, timing if options.timed else None)
     return motion if resume is None else replace(motion, continues=resume.plan)
 

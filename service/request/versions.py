@@ -65,6 +65,7 @@ ADDED = {
     ),
     3: (
         "GoalRequest.any_of",
+        "GoalRequest.rates",
         "GoalRequest.via",
         "KeepRequest.after",
         "KeepRequest.look_at",
@@ -90,6 +91,7 @@ ADDED = {
         "SceneRequest.level",
         "SceneRequest.sensor_model",
         "SceneRequest.sensor_sigma",
+        "StartRequest.rates",
         "TaskRequest.pick_place",
         "TaskRequest.steps",
     ),

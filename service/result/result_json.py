@@ -139,6 +139,8 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         "jerk_scale": result.request.options.jerk_scale,
         "tool_speed_m_s": result.request.options.tool_speed_m_s,
         "pace": result.request.options.pace,
+        "start_rates": result.request.end_rates[0],
+        "end_rates": result.request.end_rates[1],
         **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 

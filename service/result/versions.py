@@ -32,6 +32,8 @@ ADDED: dict[int, dict[str, Any]] = {
         "sway_deg": 0.0,
         "jerk_scale": None,
         "pace": None,
+        "start_rates": {},
+        "end_rates": {},
         "padding": {},
         "tool_speed_m_s": None,
         "objects": [],

@@ -136,6 +136,7 @@ from service.verify.limits import (
     RISE_S,
     measure_jerks,
     measure_timed_peaks,
+    place_rates,
 )
 from service.verify.motion import (
     HAND_CAP_N,
@@ -321,6 +322,7 @@ __all__ = [
     "offset_from_target",
     "outside_polygon",
     "place_frames",
+    "place_rates",
     "promises_hash",
     "robot_hash",
     "round_down",

@@ -484,6 +484,7 @@ class Motion:
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: name of ``service.request.paces``, whose margins the timed motion keeps; None for none.
+        start_rates, end_rates: of joints at both ends, by name [rad/s, m/s]; the others rest there.
         objects: what hands carry; ``robot`` is without them (``carrying.placing.split_motion``).
     """
 
@@ -503,4 +504,6 @@ class Motion:
     jerk_scale: float | None = None
     tool_speed_m_s: float | None = None
     pace: str | None = None
+    start_rates: Mapping[str, float] = field(default_factory=dict)
+    end_rates: Mapping[str, float] = field(default_factory=dict)
     objects: tuple[MovableObject, ...] = ()

@@ -209,6 +209,8 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         jerk_scale=setup.request.options.jerk_scale,
         tool_speed_m_s=setup.request.options.tool_speed_m_s,
         pace=setup.request.options.pace,
+        start_rates=setup.request.end_rates[0],
+        end_rates=setup.request.end_rates[1],
     )
 
 
