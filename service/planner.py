@@ -40,7 +40,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.verify import Motion, Status, VerifySettings, verify
+from service.verify import Approach, Motion, Status, VerifySettings, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -222,6 +222,7 @@ def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
         timing,
         jerk_scale=options.jerk_scale,
         tool_speed_m_s=options.tool_speed_m_s,
+        approach=Approach.of(request.hand_servo),
         start_rates=start_rates,
         end_rates=end_rates,
     )

@@ -20,6 +20,7 @@ from service.motion.spline import PhasePath, Spline, make_spline
 from service.motion.timing import TimingSettings
 from service.start.standing import FEET_GROUP
 from service.verify import (
+    DEFAULT_APPROACH,
     Basis,
     Certificate,
     LoadedRegion,
@@ -71,6 +72,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         jerk_scale=None if timing is None else timing.jerk_scale,
         tool_speed_m_s=None if timing is None else timing.tool_speed_m_s,
         pace=None if timing is None else timing.pace,
+        approach=DEFAULT_APPROACH if timing is None else timing.approach,
         start_rates={} if timing is None else timing.start_rates,
         end_rates={} if timing is None else timing.end_rates,
         objects=plan.objects,

@@ -22,7 +22,9 @@ from service.motion.slowing import limit_jerk, list_stretches, slow_to_limits, s
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
 from service.request.paces import PACES
 from service.verify import (
+    DEFAULT_APPROACH,
     RISE_S,
+    Approach,
     FrameSpeed,
     Joints,
     Motion,
@@ -95,6 +97,7 @@ class TimingSettings:
         torque_share: of the torque limits that is used.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: whose margins the motion keeps; None for none.
+        approach: of hands that begin to press.
         start_rates, end_rates: of joints at the ends of the motion, by name [rad/s, m/s]; the others rest there.
     """
 
@@ -108,6 +111,7 @@ class TimingSettings:
     torque_share: float = 1.0
     tool_speed_m_s: float | None = None
     pace: str | None = None
+    approach: Approach = DEFAULT_APPROACH
     start_rates: Mapping[str, float] = field(default_factory=dict)
     end_rates: Mapping[str, float] = field(default_factory=dict)
 

@@ -363,6 +363,11 @@ class PlanRequest(Section):
         return self.goal
 
     @property
+    def hand_servo(self) -> RobotServoRequest:
+        """What is said of hands that meet a surface: the request's, or the defaults."""
+        return RobotServoRequest() if self.robot.servo is None else self.robot.servo
+
+    @property
     def end_rates(self) -> tuple[dict[str, float], dict[str, float]]:
         """Rates of the joints that move at the start and at the end of the motion, by name [rad/s, m/s]."""
         at_end = {} if self.goal is None else self.goal.rates

@@ -32,6 +32,7 @@ ADDED: dict[int, dict[str, Any]] = {
         "sway_deg": 0.0,
         "jerk_scale": None,
         "pace": None,
+        "approach": {},
         "start_rates": {},
         "end_rates": {},
         "padding": {},

@@ -139,10 +139,12 @@ from service.verify.limits import (
     place_rates,
 )
 from service.verify.motion import (
+    DEFAULT_APPROACH,
     HAND_CAP_N,
     HAND_DRIFT_M,
     NO_SWAY,
     WORLD,
+    Approach,
     AxisTarget,
     CircleTarget,
     HandContact,
@@ -209,6 +211,7 @@ from service.verify.verifier import (
 )
 
 __all__ = [
+    "DEFAULT_APPROACH",
     "GRAVITY",
     "GROUND_TOLERANCE_M",
     "HAND_CAP_N",
@@ -223,6 +226,7 @@ __all__ = [
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
     "WORLD",
+    "Approach",
     "AxisTarget",
     "Basis",
     "Carrier",

@@ -114,7 +114,7 @@ class UdpDriver:
         raise ValueError(f"no answer within {HELLO_S:g} s")
 
     def _read_message(self, message: Mapping[str, Any]) -> RobotReading:
-        n = len(self.joint_names)
+        n, base = len(self.joint_names), message.get("base_offset")
         return RobotReading(
             time_s=float(message["time_s"]),
             q=_read_numbers(message["q"], n),
@@ -124,6 +124,7 @@ class UdpDriver:
             imu_acceleration=_read_numbers(message.get("imu_acceleration", GRAVITY), 3),
             foot_wrenches={str(k): _read_numbers(v, 6) for k, v in message.get("foot_wrenches", {}).items()},
             torque=_read_numbers(message.get("torque", ()), None if message.get("torque") is None else n),
+            base_offset=None if base is None else _read_numbers(base, 16).reshape(4, 4),
         )
 
 

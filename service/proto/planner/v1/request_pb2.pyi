@@ -416,7 +416,7 @@ class RobotTorque(_message.Message):
     def __init__(self, check: bool = ..., unchecked: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RobotServo(_message.Message):
-    __slots__ = ("stiffness",)
+    __slots__ = ("stiffness", "hand_stiffness_n_m", "reaction_s", "force_noise_n")
     class StiffnessEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -425,8 +425,14 @@ class RobotServo(_message.Message):
         value: float
         def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     STIFFNESS_FIELD_NUMBER: _ClassVar[int]
+    HAND_STIFFNESS_N_M_FIELD_NUMBER: _ClassVar[int]
+    REACTION_S_FIELD_NUMBER: _ClassVar[int]
+    FORCE_NOISE_N_FIELD_NUMBER: _ClassVar[int]
     stiffness: _containers.ScalarMap[str, float]
-    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    hand_stiffness_n_m: float
+    reaction_s: float
+    force_noise_n: float
+    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ..., hand_stiffness_n_m: _Optional[float] = ..., reaction_s: _Optional[float] = ..., force_noise_n: _Optional[float] = ...) -> None: ...
 
 class RobotHand(_message.Message):
     __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m", "fingers")
