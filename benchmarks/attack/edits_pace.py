@@ -23,6 +23,11 @@ def pace_of_nobody(folder: Folder) -> None:
 
 
 @PACE.lie("paced")
+def hands_that_react_at_once(folder: Folder) -> None:
+    folder.data["approach"]["reaction_s"] = 0.01
+
+
+@PACE.lie("paced")
 def tool_speed_left_out_of_the_record(folder: Folder) -> None:
     folder.data["tool_speed_m_s"] = None
 
