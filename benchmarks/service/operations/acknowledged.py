@@ -27,7 +27,7 @@ from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 
 WORKERS, CLIENTS = 2, 4
-LEAST_S, LONGEST_S = 0.5, 2.5  # between two blows
+LEAST_S, LONGEST_S = 0.5, 8.0  # between two blows
 FULL_S, GROWS_S = 0.5, 3.0  # of a full disk, and longest wait for a growing store
 PAGE = 500
 ARGUMENTS = ("--requests-per-s", "100000")
@@ -62,7 +62,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
             told.address = server.address
             while server.is_alive() and time.monotonic() < until:
                 time.sleep(random.uniform(LEAST_S, LONGEST_S))
-                name = random.choice(list(BLOWS))
+                name = random.choices(list(BLOWS), WEIGHTS)[0]
                 blows[name] += BLOWS[name](server, folder)
             told.address = ""
     told.is_over = True
@@ -190,3 +190,4 @@ BLOWS: Mapping[str, Callable[[Server, Path], bool]] = {
     "worker": _kill_named("scopt-worker"),
     "full disk": _fill_disk,
 }
+WEIGHTS = (1, 1, 2, 4, 2)  # a server takes longer to come back than a worker

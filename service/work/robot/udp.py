@@ -4,8 +4,8 @@ Every datagram is a JSON object. The driver first sends ``{"hello": 1}`` until t
 ``period_s`` and its reading. Then it sends a command per cycle, ``{"n", "q", "qd", "tau"}``, and the robot answers each
 with a reading, ``{"n", "time_s", "q", "qd", "torque"}``, which may have ``imu_rotation`` (9 numbers, row by row),
 ``imu_angular_velocity``, ``imu_acceleration``, ``foot_wrenches`` (six numbers by link) and ``base_offset`` (16 numbers,
-row by row). Units are those of ``RobotReading``. Before the first command the driver says hello again for every reading. What is late or unreadable is
-left out; the guards of the execution see how old the last reading is.
+row by row). Units are those of ``RobotReading``. Before the first command the driver says hello again for every
+reading. What is late or unreadable is left out; the guards of the execution see how old the last reading is.
 """
 
 from __future__ import annotations
