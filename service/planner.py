@@ -40,7 +40,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.earlier import begin_with
 from service.setup.prepare import PlanSetup, prepare
 from service.tasks import plan_task
-from service.verify import Motion, Status, VerifySettings, verify
+from service.verify import Approach, Motion, Status, VerifySettings, verify
 
 if TYPE_CHECKING:
     from perception import Perceived
@@ -219,7 +219,15 @@ def _make_motion(task: TaskPlan, request: PlanRequest) -> Motion:
     timing = TimingSettings(options.speed_share, options.acceleration_share)
     if options.pace is not None:
         timing = TimingSettings.at_pace(options.pace)
-    timing = replace(timing, jerk_scale=options.jerk_scale, tool_speed_m_s=options.tool_speed_m_s)
+    start_rates, end_rates = request.end_rates
+    timing = replace(
+        timing,
+        jerk_scale=options.jerk_scale,
+        tool_speed_m_s=options.tool_speed_m_s,
+        approach=Approach.of(request.hand_servo),
+        start_rates=start_rates,
+        end_rates=end_rates,
+    )
     motion = make_motion(task, timing if options.timed else None)
     return motion if resume is None else replace(motion, continues=resume.plan)
 

@@ -72,6 +72,10 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
                 "sway_deg": 1.0,
             }
             return arm_request(write_arm(folder), options=options)
+        case "moving":
+            arm = arm_request(write_arm(folder))
+            arm["start"]["rates"], arm["goal"]["rates"] = {"shoulder": 0.4}, {"elbow": -0.3}
+            return arm
         case "program":
             return arm_request(write_arm(folder), goal=None, task={"trajopt": _program()})
         case "reach":

@@ -1,4 +1,4 @@
-"""Edits of what a record says about pace, jerk, speed of tools and sway, with the certificate computed again."""
+"""Edits of what a record says about pace, jerk, tool speed, sway and end rates; the certificate is made again."""
 
 from __future__ import annotations
 
@@ -20,6 +20,11 @@ def pace_of_the_record_is_fast(folder: Folder) -> None:
 @PACE.lie("paced")
 def pace_of_nobody(folder: Folder) -> None:
     folder.data["pace"] = "leisurely"
+
+
+@PACE.lie("paced")
+def hands_that_react_at_once(folder: Folder) -> None:
+    folder.data["approach"]["reaction_s"] = 0.01
 
 
 @PACE.lie("paced")
@@ -72,6 +77,33 @@ def tool_speed_of_the_request_lowered(folder: Folder) -> None:
 @PACE.lie("paced", level=Level.HASHED)
 def careful_in_request_and_record(folder: Folder) -> None:
     folder.request["options"]["pace"] = folder.data["pace"] = "careful"
+
+
+@PACE.lie("moving")
+def rates_left_out_of_the_record(folder: Folder) -> None:
+    folder.data.update(start_rates={}, end_rates={})
+
+
+@PACE.lie("moving")
+def rate_of_another_joint(folder: Folder) -> None:
+    folder.data["start_rates"] = {"j2": 0.4}
+
+
+@PACE.lie("moving")
+def law_and_rates_a_tenth_faster(folder: Folder) -> None:
+    _speed_up(folder, 1.1)
+    for key in ("start_rates", "end_rates"):
+        folder.data[key] = {name: 1.1 * rate for name, rate in folder.data[key].items()}
+
+
+@PACE.lie("moving", level=Level.HASHED)
+def law_a_hundredth_faster_than_the_rates(folder: Folder) -> None:
+    _speed_up(folder, 1.01)
+
+
+@PACE.lie("moving", level=Level.HASHED)
+def request_that_begins_at_rest(folder: Folder) -> None:
+    folder.request["start"]["rates"] = {}
 
 
 def _speed_up(folder: Folder, factor: float) -> None:

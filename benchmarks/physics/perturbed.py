@@ -95,7 +95,7 @@ def run_tracking(name: str, folder: Path, reference: PlannedReference, options: 
     return Run(name, "tracking", options.seed, stood, ended, cause, worst, time.process_time() - began)
 
 
-def list_folders(names: list[str], scratch: Path, pace: str | None) -> Iterator[tuple[str, Path]]:
+def list_folders(names: list[str], scratch: Path, pace: str | None = None) -> Iterator[tuple[str, Path]]:
     """Yield name and result folder of every plan, planned now at a pace where a name is given."""
     for name in names:
         if (Path(name) / "result.json").is_file():

@@ -23,6 +23,7 @@ PARTS = (
     "messages",
     "strangers",
     "endurance",
+    "operations.acknowledged",
     "operations.fairness",
     "operations.loads",
     "operations.stops",

@@ -1,4 +1,4 @@
-"""Requests of the load generators: plans of about 25, 50 and 140 ms of one core, one without end, and a robot."""
+"""Requests of the load generators: plans of about 10, 25, 50 and 140 ms of one core, one without end, and robots."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from service.proto.planner.v1.request_pb2 import MotionRequest
 from service.request.file import parse_request
 from service.wire.requests import request_to_message
 
-ARM = "arm7"  # the robot that ``robots`` writes: seven boxes in a row
+ARM, SMALL_ARM = "arm7", "arm2"  # the robots that ``robots`` writes: seven boxes in a row, and two
 _STAND = {"robot": {"name": "atlas"}, "start": {"posture": "stand"}}
 
 ELBOW: Mapping[str, Any] = {**_STAND, "goal": {"joints": {"l_arm_elx": 1.2}}}
@@ -20,6 +20,7 @@ ARM_TURNS: Mapping[str, Any] = {
     "goal": {"joints": {"joint1": 1.5}},
     "scene": {"obstacles": [{"type": "box", "name": "crate", "size": [0.2, 0.2, 0.4], "position": [1.0, 0.9, 0.2]}]},
 }
+SWING: Mapping[str, Any] = {"robot": {"name": SMALL_ARM}, "goal": {"joints": {"joint1": 1.0}}}
 OVER_A_TABLE: Mapping[str, Any] = {
     **_STAND,
     "scene": {
@@ -56,13 +57,14 @@ def plan_request(asked: Mapping[str, Any], request_id: str = "", **more: bool) -
 
 
 def robots(folder: Path) -> Path:
-    """Write a folder for ``--robots`` that contains ``ARM``."""
-    (folder / ARM).mkdir(parents=True, exist_ok=True)
-    (folder / ARM / "robot.urdf").write_text(_arm_urdf(7), encoding="utf-8")
+    """Write a folder for ``--robots`` that contains both arms."""
+    for name, n_joints in ((ARM, 7), (SMALL_ARM, 2)):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        (folder / name / "robot.urdf").write_text(_arm_urdf(name, n_joints), encoding="utf-8")
     return folder
 
 
-def _arm_urdf(n_joints: int) -> str:
+def _arm_urdf(name: str, n_joints: int) -> str:
     parts = ['<link name="base"/>']
     for k in range(1, n_joints + 1):
         axis, at = ("0 0 1" if k % 2 else "0 1 0"), ("0 0 0.4" if k == 1 else "0.25 0 0")
@@ -74,4 +76,4 @@ def _arm_urdf(n_joints: int) -> str:
             f'<child link="link{k}"/><origin xyz="{at}"/><axis xyz="{axis}"/>'
             '<limit lower="-2" upper="2" velocity="2" effort="50"/></joint>'
         )
-    return f'<robot name="{ARM}">{"".join(parts)}</robot>'
+    return f'<robot name="{name}">{"".join(parts)}</robot>'

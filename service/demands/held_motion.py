@@ -31,6 +31,7 @@ from service.request.schema import PlanRequest
 from service.start.overlaps import find_hull_overlaps
 from service.start.resting import find_rests
 from service.verify import (
+    Approach,
     Certificate,
     Motion,
     Phase,
@@ -130,6 +131,12 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         differences.append("the record limits the speed of the tools in another way than the request")
     if recorded.pace != options.pace:
         differences.append("the record keeps the margins of another pace than the request's")
+    approach = Approach.of(demands.request.hand_servo)
+    if not _same(recorded.approach, approach):
+        differences.append("the record lets hands come to what they press in another way than the request")
+    start_rates, end_rates = demands.request.end_rates
+    if (dict(recorded.start_rates), dict(recorded.end_rates)) != (start_rates, end_rates):
+        differences.append("the record begins or ends at other rates than the request demands")
     releases = () if task.moved is None else task.moved.releases
     if not _same(recorded.releases, releases):
         differences.append("the releases of the mechanism's latches are not those of the request")
@@ -151,6 +158,9 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         jerk_scale=options.jerk_scale,
         tool_speed_m_s=options.tool_speed_m_s,
         pace=options.pace,
+        approach=approach,
+        start_rates=start_rates,
+        end_rates=end_rates,
         releases=releases,
         continues=continues,
         objects=task.objects,

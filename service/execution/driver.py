@@ -35,6 +35,8 @@ class RobotReading:
         imu_angular_velocity, imu_acceleration: (3,) in the IMU link's axes, rad/s and m/s^2 (gravity included).
         foot_wrenches: per foot link, the ground's force and moment (6,) at the link's origin, world axes, N and N m.
         torque: measured joint torques (n,).
+        base_offset: (4, 4) pose of the base of a robot that something else balances, against the place that plans have
+            it in, as that controller measures it; None where nothing does.
     """
 
     time_s: float
@@ -45,6 +47,7 @@ class RobotReading:
     imu_acceleration: np.ndarray
     foot_wrenches: Mapping[str, np.ndarray]
     torque: np.ndarray
+    base_offset: np.ndarray | None = None
 
 
 class RobotDriver(Protocol):

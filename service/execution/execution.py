@@ -14,6 +14,7 @@ from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.guards import Finding, Severity
+from service.execution.hands.swaying import SwayCorrection
 from service.execution.machine import ExecutionMachine, MachineState, Mode, Order
 from service.execution.pose_control import Command, PoseController
 from service.execution.reference import PlannedReference, ReferencePhase, ReferenceState
@@ -131,6 +132,7 @@ class Execution:
         self._reflexes = Reflexes(reference, driver, settings, margins, earlier) if self._has_forces else None
         tools = sorted({load.tool for phase in reference.phases for load in phase.loads}) if self._has_forces else []
         self._meter = ForceMeter(robot, driver.joint_names, tools, driver.period_s)
+        self._swaying = SwayCorrection(reference.motion, driver.period_s) if reference.motion.sway else None
         self._forces = None
         self._estimator = None
         if self._has_forces:
@@ -285,16 +287,19 @@ class Execution:
             wanted.tau[self._order_of_plan],
             place,
         )
-        return (*found, *self._find_fall(reading, wanted), *self._find_imbalance(following))
+        sway = () if self._swaying is None else self._swaying.judge(reading)
+        return (*found, *sway, *self._find_fall(reading, wanted), *self._find_imbalance(following))
 
     def _control(self, reading: RobotReading, wanted: ReferenceState) -> JointCommand:
         """Return the next command; where none can be computed, the last one at rest, and the execution ends."""
         try:
             if self._reflexes is not None:
                 self._reflexes.step(self._see(reading, wanted), self._shifts)
-            command = self.controller.step(
-                self.command, wanted.configuration, self.state.rate * wanted.velocity, self.list_shifts()
-            )
+            q, qd = wanted.configuration, self.state.rate * wanted.velocity
+            if self._swaying is not None and reading.base_offset is not None:
+                offset, rate = self._swaying.step(q, reading.base_offset)
+                q, qd = q + offset, qd + rate
+            command = self.controller.step(self.command, q, qd, self.list_shifts())
         except (ExecutionError, np.linalg.LinAlgError) as error:
             self._reflexes = None
             self.command = Command.at_rest(self.command.q)

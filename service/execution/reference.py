@@ -264,6 +264,12 @@ def check_executable(motion: Motion) -> TimeLaw:
     robot = motion.robot
     if motion.law is None:
         raise ResultError("the result has no time law; plan it again with options.timed: true")
+    moving = [*motion.start_rates, *motion.end_rates]
+    if moving:
+        raise ResultError(
+            f"the plan begins or ends in motion (joint '{moving[0]}'), and execution begins and ends at rest; "
+            "plan it without start.rates and goal.rates, or send its samples to a controller of your own"
+        )
     apart = find_mechanism_joints(motion)
     masses = [float(inertia.mass) for joint, inertia in enumerate(robot.model.inertias) if joint not in apart]
     if not sum(masses[1:]) > 0.0:

@@ -53,6 +53,7 @@ class ReachSession:
         self._around = setup.surroundings
         self._engine = KinematicsEngine(setup.robot)
         self._q = setup.start
+        self._rates: dict[str, float] = {}
         self._paths: list[Path] = []
 
     def plan(
@@ -94,13 +95,13 @@ class ReachSession:
             )
             result = replace(result, notes=(*result.notes, note))
         if result.verdict in REACHED:
-            self._q = result.waypoints[-1]
+            self._q, self._rates = result.waypoints[-1], request.end_rates[1]
             self._paths = [*self._paths, result.waypoints][-MOST_KEPT:]
         self.last = result
         return result
 
     def _write_start(self) -> StartRequest:
-        """Return the section of a request that starts where the robot is."""
+        """Return the section of a request that starts where the robot is, as it moves at the end of the last plan."""
         robot, q = self._engine.robot, self._q
         first = len(BASE_NAMES) if robot.is_floating else 0
         base = None
@@ -108,7 +109,8 @@ class ReachSession:
             x, y, z = q[:3].tolist()
             turn = make_quaternions(q[None, 3:first])[0].tolist()
             base = PoseRequest((x, y, z), (turn[0], turn[1], turn[2], turn[3]))
-        return StartRequest(joint_names=robot.joint_names[first:], positions=tuple(q[first:].tolist()), base=base)
+        names, positions = robot.joint_names[first:], tuple(q[first:].tolist())
+        return StartRequest(joint_names=names, positions=positions, base=base, rates=self._rates)
 
     def _choose_path(self, goal: GoalRequest | None) -> Path | None:
         """Return the earlier path whose ends are nearest to the robot and to a goal; None where none is near."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -16,22 +15,20 @@ from service.body.monitor import Monitor
 from service.body.task_plan import KeptCurve, PlannedPhase, TaskPlan
 from service.body.whole_body import BASE_SPEED, WholeBody
 from service.demands.neighbours import make_neighbour_allowances
-from service.motion.slowing import slow_to_speeds, slow_until_grips_hold
+from service.motion.plan_law import PlanTimer
 from service.motion.spline import PhasePath, Spline, make_spline
-from service.motion.timing import Pace, TimingSettings, keep_durations, slow_until_zmp_inside, time_curve
+from service.motion.timing import TimingSettings
 from service.start.standing import FEET_GROUP
 from service.verify import (
+    DEFAULT_APPROACH,
     Basis,
     Certificate,
-    FrameSpeed,
     LoadedRegion,
     Motion,
     Phase,
     SupportPolygon,
     find_times,
-    list_frame_speeds,
     list_waived_checks,
-    split_motion,
 )
 
 SAMPLE_PERIOD_S = 0.01
@@ -75,6 +72,9 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
         jerk_scale=None if timing is None else timing.jerk_scale,
         tool_speed_m_s=None if timing is None else timing.tool_speed_m_s,
         pace=None if timing is None else timing.pace,
+        approach=DEFAULT_APPROACH if timing is None else timing.approach,
+        start_rates={} if timing is None else timing.start_rates,
+        end_rates={} if timing is None else timing.end_rates,
         objects=plan.objects,
     )
     if timing is None:
@@ -84,38 +84,12 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     planted = tuple({foot.link: None for phase in plan.phases for foot in _find_body(plan, phase).planted})
     reserve = timing.zmp_reserve_m if timing.pace is not None else ZMP_RESERVE
     timing = replace(timing, support_links=planted, zmp_reserve_m=reserve)
-    speeds = list_frame_speeds(motion, motion.phases)
-    paces = [
-        Pace(first, last, _list_speeds(phase, speeds, first, last), phase.duration_s)
-        for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True)
-        if phase.kept is None or phase.kept.law is None
-    ]
-    carrying = [part.robot for part in split_motion(motion)]
-    known = list(_place_laws(plan, borders))
-    law = time_curve(body.robot, spline.curve, borders, timing, phases, known, carrying, paces)
-    settled = [
-        border
-        for phase, border in zip(plan.phases, pairwise(borders), strict=True)
-        if phase.kept is not None and phase.kept.is_settled
-    ]
-    weak = replace(motion, law=law, robot=replace(body.robot, effort=timing.torque_share * body.robot.effort))
-    law = slow_until_zmp_inside(weak, reserve_m=reserve, settled=settled)
-    paced = [(pace.first, pace.last) for pace in paces if pace.limits]
-    law = slow_until_grips_hold(motion, slow_to_speeds(motion, law, speeds), [*settled, *paced])
-    law = keep_durations(law, paces)
+    motion = PlanTimer.of(plan, motion, borders, timing).time(motion)
     # Holds with a smaller drift than planted feet, and planted hands with their longer chains, need closer samples.
     is_close = body.drift() < DRIFT or not set(planted) <= set(body.robot.link_groups.get(FEET_GROUP, ()))
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
-    steps = _chord_steps(spline.curve, _limit_chords(plan, spline, chord))
-    return replace(motion, law=law, samples=_sample_law(knots, law, steps))
-
-
-def _list_speeds(
-    phase: PlannedPhase, speeds: Sequence[FrameSpeed], first: float, last: float
-) -> tuple[FrameSpeed, ...]:
-    """Return the largest speeds of frames during a phase: its own, and those that the motion promises."""
-    own = (FrameSpeed(phase.name, frame, first, last, most) for frame, most in phase.limits)
-    return (*own, *(speed for speed in speeds if speed.first < last and speed.last > first))
+    steps = _chord_steps(motion.curve, _limit_chords(plan, spline, chord))
+    return motion if motion.law is None else replace(motion, samples=_sample_law(knots, motion.law, steps))
 
 
 def _find_body(plan: TaskPlan, phase: PlannedPhase) -> WholeBody:
@@ -132,14 +106,6 @@ def _fit_spline(plan: TaskPlan, *, is_smooth: bool) -> Spline:
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
     return make_spline(body.engine, paths, robot.lower, robot.upper, speed, is_smooth=is_smooth)
-
-
-def _place_laws(plan: TaskPlan, borders: Sequence[float]) -> Iterator[TimeLaw]:
-    """Yield the time laws that phases keep, with the path parameters of the whole curve."""
-    for phase, first in zip(plan.phases, borders, strict=False):
-        if phase.kept is not None and phase.kept.law is not None:
-            law = phase.kept.law
-            yield replace(law, path=(law.path - law.path[0]) + first)
 
 
 def _make_phase(

@@ -1,4 +1,7 @@
-"""Slower time laws of the same curve: within limits of speed and acceleration, with a limited jerk, as grips hold."""
+"""Slower time laws of the same curve: within limits of speed and acceleration, with a limited jerk, as grips hold.
+
+A stretch is the part of a law between two neighbouring rests, or from or to an end at which the robot moves.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ JERK_SHARE = 0.95  # of the limits that is used: where the windows of the measur
 
 
 def stretch_law(law: TimeLaw, factor: Float[np.ndarray, "M-1"]) -> TimeLaw:
-    """Multiply every cell's duration; the factor may only change at rests."""
+    """Multiply every cell's duration; the factor may only change at rests.
+
+    Where the robot moves at an end, it is slower there, too (``moving_ends`` makes up for it).
+    """
     times = np.concatenate([law.times[:1], law.times[0] + np.cumsum(np.diff(law.times) * factor)])
     return TimeLaw(times, law.path, law.speed / np.append(factor, factor[-1]))
 
@@ -146,8 +152,10 @@ def slow_until_grips_hold(motion: Motion, law: TimeLaw, kept: Container[tuple[fl
 
 
 def list_stretches(law: TimeLaw) -> Iterator[tuple[int, int]]:
-    """Yield the grid points of two neighbouring rests."""
-    return pairwise(np.flatnonzero(law.speed <= REST).tolist())
+    """Yield the first and the last grid point of every stretch."""
+    is_end = law.speed <= REST
+    is_end[[0, -1]] = True
+    return pairwise(np.flatnonzero(is_end).tolist())
 
 
 def _filter(law: TimeLaw, width: float) -> TimeLaw:

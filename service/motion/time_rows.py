@@ -231,13 +231,17 @@ class Limits:
         return least, most, least_slope, most_slope
 
 
-def fastest_speed(limits: Limits, width: Float[np.ndarray, "M-1"]) -> Float[np.ndarray, "M"]:
-    """Return the greatest ds/dt from rest to rest: controllable sets backwards, then greedily forwards.
+def fastest_speed(
+    limits: Limits, width: Float[np.ndarray, "M-1"], ends: tuple[float, float] = (0.0, 0.0)
+) -> Float[np.ndarray, "M"]:
+    """Return the greatest ds/dt between two ends: controllable sets backwards, then greedily forwards.
 
-    Rest is always controllable (u = x = 0 keeps every row), so each set is ``[0, reachable]``.
+    Rest is always controllable (u = x = 0 keeps every row), so each set is ``[0, reachable]``: the first speed is at
+    most that from which the robot can slow down, the last one at most that which it reaches.
     """
     n = len(width)
     reachable = np.zeros(n + 1)
+    reachable[n] = min(ends[1] ** 2, float(limits.highest[n]))
     for i in range(n - 1, -1, -1):
         poll()
         x = float(limits.highest[i])
@@ -249,6 +253,7 @@ def fastest_speed(limits: Limits, width: Float[np.ndarray, "M-1"]) -> Float[np.n
             x = max(0.0, x - (least - most) / (least_slope - most_slope) - 1e-12 * x)
         reachable[i] = x
     square = np.zeros(n + 1)
+    square[0] = min(ends[0] ** 2, reachable[0])
     for i in range(n):
         poll()
         _, most, _, _ = limits.bounds(i, square[i], width[i], reachable[i + 1])

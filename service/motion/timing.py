@@ -8,8 +8,8 @@ figures computed by other means.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +22,9 @@ from service.motion.slowing import limit_jerk, list_stretches, slow_to_limits, s
 from service.motion.time_rows import Cells, Limits, fastest_speed, force_rows, motion_rows
 from service.request.paces import PACES
 from service.verify import (
+    DEFAULT_APPROACH,
     RISE_S,
+    Approach,
     FrameSpeed,
     Joints,
     Motion,
@@ -54,6 +56,7 @@ _SPEED_SHARE = 0.98  # of a frame's largest speed that is used
 _NEAR_SHARE = 1.5  # of the distance within which a speed is limited, as neighbouring grid points may be outside
 _CELLS_BESIDE_REST = 50  # in the knot intervals beside a rest, where a frame has a given speed
 _SAME_POINT = 1e-3  # of the shortest knot interval, within which two grid points are one
+_SAME_SPEED = 1e-9  # of two speeds along the path [1/s]
 _RATE_STEP = 1e-3  # of the shortest knot interval, for the rate of a frame
 _NEAR_REST = np.array([0.01, 0.03, 0.1, 0.3])
 
@@ -94,6 +97,8 @@ class TimingSettings:
         torque_share: of the torque limits that is used.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: whose margins the motion keeps; None for none.
+        approach: of hands that begin to press.
+        start_rates, end_rates: of joints at the ends of the motion, by name [rad/s, m/s]; the others rest there.
     """
 
     velocity_scale: float = 1.0
@@ -106,6 +111,9 @@ class TimingSettings:
     torque_share: float = 1.0
     tool_speed_m_s: float | None = None
     pace: str | None = None
+    approach: Approach = DEFAULT_APPROACH
+    start_rates: Mapping[str, float] = field(default_factory=dict)
+    end_rates: Mapping[str, float] = field(default_factory=dict)
 
     @staticmethod
     def at_pace(name: str) -> TimingSettings:
@@ -129,8 +137,9 @@ def time_curve(
     known: Sequence[TimeLaw] = (),
     carrying: Sequence[RobotModel] = (),
     paces: Sequence[Pace] = (),
+    ends: tuple[float, float] = (0.0, 0.0),
 ) -> TimeLaw:
-    """Make the fastest time law within the limits, at rest at both ends and at ``rest_at`` (path parameters).
+    """Make the fastest time law within the limits, at rest at ``rest_at`` (path parameters).
 
     Where a law from one rest to the next is known already, it is kept, slower if it would pass a limit of speed or
     acceleration.
@@ -149,12 +158,13 @@ def time_curve(
         phases: with the support polygons.
         known: laws of stretches.
         carrying: the robot with what it carries in each phase; ``robot`` throughout by default.
+        ends: ds/dt at the first and at the last knot; by default the robot rests there.
 
     Raises:
         TimingError: when a limit is not positive or no law was found.
     """
     settings = settings or TimingSettings()
-    limited = _scale_limits(robot, settings)
+    limited = scale_limits(robot, settings)
     if not (np.all(limited.velocity > 0.0) and np.all(limited.acceleration > 0.0)):
         raise TimingError("speed and acceleration limits must be positive to time a curve")
     rests = [float(s) for s in rest_at if curve.knots[0] < s < curve.knots[-1]]
@@ -164,11 +174,11 @@ def time_curve(
             more = _refine_ends(curve, pace)
             apart = np.abs(more[:, None] - grid).min(axis=1) > _SAME_POINT * np.diff(curve.knots).min()
             grid = np.unique(np.concatenate([grid, more[apart]]))
-    ends = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
+    borders = np.concatenate([[0], np.searchsorted(grid, np.unique(rests)), [len(grid) - 1]]).astype(int)
     torque_rows = _find_free_torques(robot, settings) if settings.use_torques else np.zeros(robot.n, dtype=bool)
     laws = {(float(law.path[0]), float(law.path[-1])): law for law in known}
-    path, speed = [grid[:1]], [np.zeros(1)]
-    for a, b in pairwise(ends):
+    path, speed = [grid[:1]], [np.array(ends[:1])]
+    for a, b in pairwise(borders):
         cells = grid[a : b + 1]
         first, last = float(cells[0]), float(cells[-1])
         if (first, last) in laws:
@@ -179,10 +189,11 @@ def time_curve(
         number = _find_covering(phases, first, last)
         support = None if number is None else phases[number].support
         carrier = robot if number is None or not carrying else carrying[number]
-        loaded = limited if carrier is robot else _scale_limits(carrier, settings)
+        loaded = limited if carrier is robot else scale_limits(carrier, settings)
         path.append(cells[1:])
         limits = [limit for pace in paces if (pace.first, pace.last) == (first, last) for limit in pace.limits]
-        speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m, limits)[1:])
+        own = ends[0] if a == 0 else 0.0, ends[1] if b == borders[-1] else 0.0
+        speed.append(_time_segment(loaded, curve, cells, torque_rows, support, settings.zmp_reserve_m, limits, own)[1:])
     law = slow_to_limits(limited, curve, TimeLaw.accelerated(np.concatenate(path), np.concatenate(speed)))
     if settings.jerk_scale is None:
         return law
@@ -296,8 +307,9 @@ def _time_segment(
     support: SupportPolygon | None,
     reserve_m: float,
     limits: Sequence[FrameSpeed] = (),
+    ends: tuple[float, float] = (0.0, 0.0),
 ) -> Float[np.ndarray, "M"]:
-    """Return ds/dt on the grid from rest to rest; without force limits where these leave no law."""
+    """Return ds/dt on the grid between two ends; without force limits where these leave no law."""
     cells = Cells.of(curve, grid)
     shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
     slope = np.abs(curve(grid, 1)) / robot.velocity
@@ -311,8 +323,8 @@ def _time_segment(
     limit = fastest**2
     rows = list(motion_rows(robot, cells))
     for more in (list(force_rows(robot, curve, cells, torque_rows, support, reserve_m)), []):
-        speed = fastest_speed(Limits(rows + more, limit), np.diff(grid))
-        if np.all(speed[1:-1] > 0.0):
+        speed = fastest_speed(Limits(rows + more, limit), np.diff(grid), ends)
+        if np.all(speed[1:-1] > 0.0) and np.all(np.abs(speed[[0, -1]] - ends) <= _SAME_SPEED):
             return speed
     raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
 
@@ -326,7 +338,7 @@ def _measure_rates(robot: RobotModel, curve: Curve, s: Float[np.ndarray, "M"], f
     return np.asarray(np.linalg.norm(last - first, axis=1) / (after - before))
 
 
-def _scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:
+def scale_limits(robot: RobotModel, settings: TimingSettings) -> RobotModel:
     """Return the robot with the shares of its speed and acceleration limits that are used."""
     return replace(
         robot,

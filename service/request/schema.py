@@ -111,6 +111,7 @@ class StartRequest(Section):
     """Start of the robot: a named posture, with some joints overridden.
 
     Joints are given as ``joints`` (name to position) or as the two lists ``joint_names`` and ``positions``.
+    ``rates`` are those of joints that move already, by name [rad/s, m/s].
     """
 
     posture: Label | None = None
@@ -118,6 +119,7 @@ class StartRequest(Section):
     joint_names: Annotated[tuple[Name, ...], at_most(MAX_JOINTS)] = ()
     positions: Annotated[tuple[Number, ...], at_most(MAX_JOINTS)] = ()
     base: PoseRequest | None = None
+    rates: Joints = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.joint_names) != len(self.positions):
@@ -359,6 +361,18 @@ class PlanRequest(Section):
             return self.task.section
         assert self.goal is not None  # exactly one of them is given
         return self.goal
+
+    @property
+    def hand_servo(self) -> RobotServoRequest:
+        """What is said of hands that meet a surface: the request's, or the defaults."""
+        return RobotServoRequest() if self.robot.servo is None else self.robot.servo
+
+    @property
+    def end_rates(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Rates of the joints that move at the start and at the end of the motion, by name [rad/s, m/s]."""
+        at_end = {} if self.goal is None else self.goal.rates
+        start, end = ({name: rate for name, rate in rates.items() if rate} for rates in (self.start.rates, at_end))
+        return start, end
 
     @property
     def limit_s(self) -> float:

@@ -27,7 +27,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
 from service.result.phase_json import phase_from_json, phase_json, read_rotation, sample_index, write_rotation
 from service.result.zmp_json import zmp_json
-from service.verify import Motion, Sway, find_times, split_motion
+from service.verify import Approach, Motion, Sway, find_times, split_motion
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -56,6 +56,9 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
         "jerk_scale": motion.jerk_scale,
         "tool_speed_m_s": motion.tool_speed_m_s,
         "pace": motion.pace,
+        "approach": asdict(motion.approach),
+        "start_rates": dict(motion.start_rates),
+        "end_rates": dict(motion.end_rates),
         "movables": [_write_movable(motion, robot, column, q) for column in range(robot.n, motion.robot.n)],
         "releases": [asdict(release) for release in motion.releases],
         "continues": motion.continues,
@@ -97,8 +100,21 @@ def motion_from_json(data: Mapping[str, Any], robot: RobotModel) -> Motion:
         jerk_scale=None if data.get("jerk_scale") is None else float(data["jerk_scale"]),
         tool_speed_m_s=None if data.get("tool_speed_m_s") is None else float(data["tool_speed_m_s"]),
         pace=None if data.get("pace") is None else str(data["pace"]),
+        approach=_read_approach(data.get("approach")),
+        start_rates=_read_rates(data.get("start_rates")),
+        end_rates=_read_rates(data.get("end_rates")),
         objects=tuple(_read_object(item) for item in data.get("objects", ())),
     )
+
+
+def _read_approach(data: Mapping[str, Any] | None) -> Approach:
+    """Return what is said of hands that meet a surface."""
+    return Approach(**{str(name): float(value) for name, value in (data or {}).items()})
+
+
+def _read_rates(data: Mapping[str, Any] | None) -> dict[str, float]:
+    """Return the rates of joints by name [rad/s, m/s]."""
+    return {str(name): float(rate) for name, rate in (data or {}).items()}
 
 
 def samples_of(motion: Motion) -> Float[np.ndarray, "S"]:

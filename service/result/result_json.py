@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from service.result.motion_json import file_columns, file_positions, motion_json
 from service.result.phase_report import PhaseReport, PhaseStatus
 from service.result.result import PlanResult
 from service.scan.json_data import encode_piece, to_json_data
-from service.verify import Certificate, Motion, link_vertices, robot_hash
+from service.verify import Approach, Certificate, Motion, link_vertices, robot_hash
 
 MAX_CLOUD_POINTS = 60_000
 
@@ -139,6 +140,9 @@ def _write_start(result: PlanResult) -> dict[str, Any]:
         "jerk_scale": result.request.options.jerk_scale,
         "tool_speed_m_s": result.request.options.tool_speed_m_s,
         "pace": result.request.options.pace,
+        "approach": asdict(Approach.of(result.request.hand_servo)),
+        "start_rates": result.request.end_rates[0],
+        "end_rates": result.request.end_rates[1],
         **{key: [] for key in ("waypoints", "phases", "waived", "movables", "support_polygons", "com", "zmp")},
     }
 

@@ -90,9 +90,27 @@ def _list_sway_problems(robot: RobotModel, request: PlanRequest) -> list[str]:
             f"options.{field}: {value:g} with a robot whose base is planned; expected robot.root: fixed, "
             "since only a base that something else balances sways"
         ]
+    legs = _list_leg_joints(robot)
+    if legs:
+        more = f" and {len(legs) - 1} others" if len(legs) > 1 else ""
+        return [
+            f"options.{field}: {value:g}, and {legs[0]}{more} move the legs, which something else balances on; "
+            f"expected them in robot.locked, at their positions: {', '.join(legs)}"
+        ]
     if request.task is not None:
         return [f"options.{field}: {value:g} with a task; expected a goal, as hands that press do not make up for sway"]
     return []
+
+
+def _list_leg_joints(robot: RobotModel) -> list[str]:
+    """Return the joints between the base and the links of the robot's group ``feet``."""
+    model, found = robot.model, set[int]()
+    for link in robot.link_groups.get(FEET_GROUP, ()):
+        joint = int(model.frames[model.getFrameId(link)].parentJoint)
+        while joint > 0:
+            found.add(joint)
+            joint = int(model.parents[joint])
+    return [str(model.names[joint]) for joint in sorted(found)]
 
 
 def find_soles(

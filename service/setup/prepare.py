@@ -24,6 +24,7 @@ from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
 from service.setup.checks import StartCheck, check_names_and_values, check_start, find_soles
 from service.setup.given_objects import check_given_objects
+from service.setup.rates import check_rates
 from service.setup.units import check_units
 from service.setup.world import NOTHING, Surroundings, build_obstacles, read_surroundings
 from service.start.configuration import note_snapped, note_turns
@@ -128,6 +129,7 @@ def prepare(
     notes += (*weightless, *robot.notes, *_note_carried(request), *check_units(request, robot, start))
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
+    check_rates(robot, start, request, soles)
     announce("perceive scene")
     try:
         with stops_when(should_stop):

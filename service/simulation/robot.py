@@ -158,7 +158,8 @@ class SimulatedRobot:
             acceleration += noise * ACCELERATION_NOISE * draw(3)
             sizes = np.array([FORCE_NOISE] * 3 + [MOMENT_NOISE] * 3)
             wrenches = {link: wrench + noise * sizes * draw(6) for link, wrench in wrenches.items()}
-        return RobotReading(self.time_s, q, qd, rotation, gyro, acceleration, wrenches, torque)
+        base = self.pose_world_base if model.motion.sway else None
+        return RobotReading(self.time_s, q, qd, rotation, gyro, acceleration, wrenches, torque, base)
 
     def command(self, command: JointCommand) -> None:
         """Hand a command to the servos; returns when the next one is due."""
@@ -170,6 +171,11 @@ class SimulatedRobot:
             self._oppose()
             self.mujoco.mj_step(self.model.mj, self.data)
             self._acceleration += self._measure_acceleration() / self._steps  # inertial units integrate
+
+    def sway(self, pose: Float[np.ndarray, "4 4"]) -> None:
+        """Move the base of a robot that something else balances to a pose against that of the plan."""
+        x, y, z, w = pin.Quaternion(np.asarray(pose[:3, :3])).coeffs()
+        self.data.mocap_pos[0], self.data.mocap_quat[0] = pose[:3, 3], (w, x, y, z)
 
     def hold_grips(self, phase: int | None) -> None:
         """Close the grippers of a phase of the plan, by its number, and open all others; None opens all."""
@@ -229,6 +235,9 @@ class SimulatedRobot:
         """(4, 4) true pose of the base link."""
         pose = np.eye(4)
         at = self.model.base_qpos
+        if self.model.motion.sway:
+            w, x, y, z = self.data.mocap_quat[0]
+            pose[:3, :3], pose[:3, 3] = pin.Quaternion(w, x, y, z).matrix(), self.data.mocap_pos[0]
         if at >= 0:
             w, x, y, z = self.data.qpos[at + 3 : at + 7]
             pose[:3, :3] = pin.Quaternion(w, x, y, z).normalized().matrix()

@@ -157,8 +157,9 @@ class SpecBuilder:
     def add_joints(self) -> None:
         """Add a body per joint of robot and mechanism, with its inertia, and a body per link with its shapes."""
         model: pin.Model = self.robot.model
-        bodies = {0: self.spec.worldbody}
-        fixed = self.spec.worldbody.add_body(name="joint:fixed")
+        sways = bool(self.motion.sway)
+        fixed = self.spec.worldbody.add_body(name="joint:fixed", mocap=sways)  # a base that is moved from outside
+        bodies = {0: fixed if sways else self.spec.worldbody}
         for joint in range(1, model.njoints):
             place = model.jointPlacements[joint]
             parent = bodies[int(model.parents[joint])]

@@ -136,12 +136,15 @@ from service.verify.limits import (
     RISE_S,
     measure_jerks,
     measure_timed_peaks,
+    place_rates,
 )
 from service.verify.motion import (
+    DEFAULT_APPROACH,
     HAND_CAP_N,
     HAND_DRIFT_M,
     NO_SWAY,
     WORLD,
+    Approach,
     AxisTarget,
     CircleTarget,
     HandContact,
@@ -208,6 +211,7 @@ from service.verify.verifier import (
 )
 
 __all__ = [
+    "DEFAULT_APPROACH",
     "GRAVITY",
     "GROUND_TOLERANCE_M",
     "HAND_CAP_N",
@@ -222,6 +226,7 @@ __all__ = [
     "TURNING_DEPTH_M",
     "UNSEEN_KIND",
     "WORLD",
+    "Approach",
     "AxisTarget",
     "Basis",
     "Carrier",
@@ -321,6 +326,7 @@ __all__ = [
     "offset_from_target",
     "outside_polygon",
     "place_frames",
+    "place_rates",
     "promises_hash",
     "robot_hash",
     "round_down",

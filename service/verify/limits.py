@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.curve import Curve, PolynomialCurve, TimeLaw, differentiate
+from costs.robot import RobotModel
 from service.verify.certificate import Basis, Check, Where
 from service.verify.curves.polynomials import bound_range
 from service.verify.motion import Motion, Phase, VerifySettings
@@ -187,8 +188,13 @@ def _jump_check(motion: Motion, curve: PolynomialCurve, law: TimeLaw) -> Check:
     return Check("limits.jump", is_ok, value, SPEED_JUMP, "rad/s", text, _at(motion, s, (name,)), Basis.PROOF)
 
 
+def place_rates(robot: RobotModel, rates: Mapping[str, float]) -> Float[np.ndarray, "n"]:
+    """Return the rates of all coordinates, 0 for those that are not named [rad/s, m/s]."""
+    return np.array([rates.get(name, 0.0) for name in robot.joint_names])
+
+
 def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...], settings: VerifySettings) -> Check:
-    """Check that the robot stands still at both ends and where the set of planted links changes."""
+    """Check that the robot has its rates at both ends, and stands still where the set of planted links changes."""
     ends = [float(motion.curve.knots[0]), float(motion.curve.knots[-1])]
     changes = [
         after.first
@@ -198,10 +204,17 @@ def _rest_check(motion: Motion, law: TimeLaw, phases: tuple[Phase, ...], setting
     rests = np.array(ends + changes)
     # The square of the speed is linear in the path.
     speed = np.sqrt(np.interp(rests, law.path, law.speed**2))
-    fastest = np.abs(motion.curve(rests, 1) * speed[:, None]).max(axis=1)
-    worst = int(fastest.argmax())
-    value = float(fastest[worst])
+    demanded = np.zeros((len(rests), motion.robot.n))
+    demanded[:2] = [place_rates(motion.robot, rates) for rates in (motion.start_rates, motion.end_rates)]
+    off = np.abs(motion.curve(rests, 1) * speed[:, None] - demanded)
+    worst, column = np.unravel_index(int(off.argmax()), off.shape)
+    value = float(off[worst, column])
     text = f"fastest joint where the robot should rest: {value:.2g} rad/s"
+    if (motion.start_rates or motion.end_rates) and value <= settings.rest_speed:
+        text = f"at both ends every joint is within {value:.2g} rad/s of the rate that it should have"
+    elif motion.start_rates or motion.end_rates:
+        name, demand = motion.robot.joint_names[column], demanded[worst, column]
+        text = f"{name} is {value:.2g} rad/s off the {demand:.4g} rad/s that it should have"
     limit, where = settings.rest_speed, _at(motion, float(rests[worst]), ())
     return Check("limits.rest", value <= limit, value, limit, "rad/s", text, where, Basis.PROOF)
 

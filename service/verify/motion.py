@@ -15,6 +15,7 @@ from costs.robot.carried import MovableObject
 from costs.robot.mechanism import Release
 from costs.robot.model import RobotModel
 from costs.scene import Scene
+from service.request.robot_parts import RobotServoRequest
 from service.verify.carrying.carriers import Carrier
 from service.verify.regions.region import RegionTarget
 
@@ -461,6 +462,29 @@ NO_SWAY = Sway()
 
 
 @dataclass(frozen=True)
+class Approach:
+    """What happens to a hand that meets a surface too early: its force grows until it is seen and the arm rests.
+
+    Attributes:
+        stiffness_n_m: of the hand on its arm against a rigid surface [N/m].
+        reaction_s: from the touch until the hand stops [s].
+        noise_n: of the measured force [N].
+    """
+
+    stiffness_n_m: float = 1e4
+    reaction_s: float = 0.25
+    noise_n: float = 10.0
+
+    @staticmethod
+    def of(servo: RobotServoRequest) -> Approach:
+        """Return what a request says of hands that meet a surface."""
+        return Approach(servo.hand_stiffness_n_m, servo.reaction_s, servo.force_noise_n)
+
+
+DEFAULT_APPROACH = Approach()
+
+
+@dataclass(frozen=True)
 class Motion:
     """A motion as it is executed and exported.
 
@@ -484,6 +508,8 @@ class Motion:
         jerk_scale: share of the joints' jerk limits that the timed motion keeps within; None for no limit.
         tool_speed_m_s: largest speed of the robot's tools; None for no limit.
         pace: name of ``service.request.paces``, whose margins the timed motion keeps; None for none.
+        approach: of hands that begin to press, which limits their speed with a pace.
+        start_rates, end_rates: of joints at both ends, by name [rad/s, m/s]; the others rest there.
         objects: what hands carry; ``robot`` is without them (``carrying.placing.split_motion``).
     """
 
@@ -503,4 +529,7 @@ class Motion:
     jerk_scale: float | None = None
     tool_speed_m_s: float | None = None
     pace: str | None = None
+    approach: Approach = DEFAULT_APPROACH
+    start_rates: Mapping[str, float] = field(default_factory=dict)
+    end_rates: Mapping[str, float] = field(default_factory=dict)
     objects: tuple[MovableObject, ...] = ()

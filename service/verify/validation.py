@@ -66,12 +66,20 @@ def validate_motion(motion: Motion) -> None:
 
 
 def _validate_speeds(motion: Motion) -> None:
-    """Reject a limit of the tools' speed that is not positive, and unknown paces."""
+    """Reject a limit of the tools' speed that is not positive, unknown paces, and rates of unknown joints."""
     most = motion.tool_speed_m_s
     if most is not None and not 0.0 < most < np.inf:
         raise VerifyError(f"tool_speed_m_s: expected a positive speed, got {most}")
     if motion.pace is not None and motion.pace not in PACES:
         raise VerifyError(f"pace: expected {', '.join(PACES)}, got '{motion.pace}'")
+    approach = motion.approach
+    if not 0.0 < approach.stiffness_n_m * approach.reaction_s < np.inf or not 0.0 <= approach.noise_n < np.inf:
+        raise VerifyError(f"approach: expected a positive stiffness and time and a noise of 0 or more, got {approach}")
+    for what, rates in (("start_rates", motion.start_rates), ("end_rates", motion.end_rates)):
+        _finite(what, *rates.values())
+        strange = sorted(set(rates) - set(motion.robot.joint_names))
+        if strange:
+            raise VerifyError(f"{what}: '{strange[0]}' is no joint of the motion")
 
 
 def _validate_releases(motion: Motion) -> None:

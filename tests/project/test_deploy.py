@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import grpc
+import pytest
 import yaml
 from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
@@ -145,3 +148,16 @@ def test_errors_on_which_an_alert_fires_are_counted_from_zero():
     }
     assert codes
     assert rows == {(method.name, code): 0.0 for method in SERVICE.methods for code in codes}
+
+
+def test_every_alert_is_seen_to_fire_by_promtool() -> None:
+    rules = yaml.safe_load((DEPLOY / "alerts.yml").read_text())["groups"][0]["rules"]
+    tests = yaml.safe_load((DEPLOY / "alerts_test.yml").read_text())["tests"]
+    fired = {one["alertname"] for test in tests for one in test["alert_rule_test"] if one["exp_alerts"]}
+    assert fired == {rule["alert"] for rule in rules}
+    promtool = shutil.which("promtool")
+    if promtool is None:
+        pytest.skip("promtool is not installed; it is in Debian's package prometheus")
+    command = [promtool, "test", "rules", "alerts_test.yml"]
+    ran = subprocess.run(command, cwd=DEPLOY, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stdout + ran.stderr

@@ -24,6 +24,7 @@ from service.request.file import load_request, parse_request, to_json
 from service.result.result import Verdict
 from service.setup.prepare import prepare
 from service.verify import (
+    Approach,
     FrameSpeed,
     LoadLimits,
     Motion,
@@ -35,7 +36,7 @@ from service.verify import (
     trace_frame,
     verify,
 )
-from service.verify.forces.frame_speeds import LEAST_M_S, NOISE_N, REACTION_S, STIFFNESS_N_M, limit_approach
+from service.verify.forces.frame_speeds import LEAST_M_S, limit_approach
 
 ROOT = Path(__file__).parents[2]
 
@@ -97,10 +98,9 @@ def test_only_the_part_near_its_end_is_held_to_an_approach() -> None:
 
 
 def test_the_speed_of_an_approach_follows_from_cap_and_reaction() -> None:
-    assert limit_approach(LoadLimits("tool", ("leaf",), 30.0, 140.0)) == pytest.approx(
-        (140.0 - 30.0 - NOISE_N) / (STIFFNESS_N_M * REACTION_S)
-    )
-    assert limit_approach(LoadLimits("tool", ("leaf",), 100.0, 105.0)) == LEAST_M_S
+    approach = Approach(stiffness_n_m=5e3, reaction_s=0.4, noise_n=20.0)
+    assert limit_approach(LoadLimits("tool", ("leaf",), 30.0, 140.0), approach) == pytest.approx(90.0 / 2000.0)
+    assert limit_approach(LoadLimits("tool", ("leaf",), 100.0, 115.0), approach) == LEAST_M_S
 
 
 def test_a_plan_keeps_tool_speed_and_pace_of_its_request_and_no_others() -> None:

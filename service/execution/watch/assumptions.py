@@ -41,9 +41,9 @@ def list_assumptions(reference: PlannedReference, reading: RobotReading) -> tupl
     sway = reference.motion.sway
     if sway:
         moved = f"{1e3 * sway.distance_m:g} mm and {sway.angle_deg:g} deg"
-        assumed.append(
-            Assumption(f"something else balances the robot and keeps its base within {moved} of its place", "")
-        )
+        watched = "" if reading.base_offset is None else "measured pose of the base"
+        words = f"something else balances the robot and keeps its base within {moved} of its place"
+        assumed.append(Assumption(words, watched))
     if planted:
         forces = "forces at the planted links, before the next phase begins" if felt == planted else ""
         pelvis = "inertial unit and soles against the command" if felt else ""

@@ -132,6 +132,8 @@ class ReadingCheck:
             raise ExecutionError(f"driver: reading.time_s is {raw.time_s}; expected seconds of a clock")
         if not _is_imu_usable(raw):
             raise ExecutionError("driver: the inertial unit gives no rotation matrix with finite rates")
+        if raw.base_offset is not None and _read_base(raw.base_offset) is None:
+            raise ExecutionError("driver: reading.base_offset is no 4 x 4 pose; leave it out where none is measured")
         for link, wrench in raw.foot_wrenches.items():
             value = _read_array(wrench, (6,))
             if value is None or not np.isfinite(value).all():
@@ -235,6 +237,9 @@ class ReadingCheck:
             wrenches[link] = before if problem or read is None else read
             if problem:
                 bad[f"force of {link}"] = problem
+        base = _read_base(raw.base_offset) if expected.base_offset is not None else None
+        if base is None and expected.base_offset is not None:
+            base, bad["base"] = expected.base_offset, "the pose of the base is no rotation with a place"
         imu = raw if _is_imu_usable(raw) else expected
         if imu is expected:
             bad["inertial unit"] = "the inertial unit gives no rotation matrix with possible rates"
@@ -247,6 +252,7 @@ class ReadingCheck:
             np.asarray(imu.imu_acceleration, dtype=float),
             wrenches,
             torque,
+            base,
         )
 
     def _mend_joints(
@@ -354,6 +360,16 @@ def _within(
 
 def _show(value: Float[np.ndarray, "n"] | None, k: int) -> str:
     return "nothing" if value is None else f"{value[k]:.4g}"
+
+
+def _read_base(value: object) -> Float[np.ndarray, "4 4"] | None:
+    """Return a pose; None for anything else."""
+    pose = _read_array(value, (4, 4))
+    if pose is None or not np.isfinite(pose).all() or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
+        return None
+    turn = pose[:3, :3]
+    is_rotation = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0
+    return pose if is_rotation else None
 
 
 def _is_imu_usable(reading: RobotReading) -> bool:

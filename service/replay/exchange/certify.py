@@ -29,6 +29,7 @@ from service.replay.rebuild import make_setup_demands
 from service.request.schema import PlanRequest
 from service.setup.prepare import PlanSetup, prepare
 from service.verify import (
+    Approach,
     Basis,
     Certificate,
     Check,
@@ -209,6 +210,9 @@ def _make_motion(points: Points, setup: PlanSetup, kind: str, *, timed: bool, so
         jerk_scale=setup.request.options.jerk_scale,
         tool_speed_m_s=setup.request.options.tool_speed_m_s,
         pace=setup.request.options.pace,
+        approach=Approach.of(setup.request.hand_servo),
+        start_rates=setup.request.end_rates[0],
+        end_rates=setup.request.end_rates[1],
     )
 
 

@@ -100,6 +100,7 @@ class GoalRequest(TaskSection):
     Attributes:
         joints, poses, posture: the end; ``any_of`` has several instead, of which the motion ends at one.
         via: places on the way, in their order; the robot does not stop there.
+        rates: of joints at the end of the motion, by name [rad/s, m/s]; the others rest there.
     """
 
     joints: Joints = field(default_factory=dict)
@@ -107,6 +108,7 @@ class GoalRequest(TaskSection):
     posture: Label | None = None
     any_of: Annotated[tuple[GoalPartRequest, ...], at_most(100)] = ()
     via: Annotated[tuple[GoalPartRequest, ...], at_most(8)] = ()
+    rates: Joints = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("joints", "poses", "posture", "any_of"))

@@ -19,14 +19,11 @@ from costs.robot.model import RobotModel
 from service.verify.certificate import Check
 from service.verify.forces.load_limits import LoadLimits, limit_loads
 from service.verify.frame_paths import FramePath
-from service.verify.motion import Motion, Phase, VerifySettings
+from service.verify.motion import Approach, Motion, Phase, VerifySettings
 from service.verify.phase_proof import PhaseProof, bound_largest
 from service.verify.prepared_motion import PreparedMotion
 
 NEAR_M = 0.01  # from where a hand begins to press: within it the surface may be met
-STIFFNESS_N_M = 1e4  # of a hand on an arm of position servos against a rigid surface
-REACTION_S = 0.25  # from the touch until the hand stops: 0.05 s to see the force, 0.2 s until the arm rests
-NOISE_N = 10.0  # of the measured force of a hand
 LEAST_M_S = 0.005  # speed that an approach may always have
 RELATIVE_TOLERANCE = 1e-3  # excess of a frame's speed over its limit that still counts as within it
 
@@ -98,7 +95,7 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
                     limit.tool,
                     before.first,
                     before.last,
-                    limit_approach(limit),
+                    limit_approach(limit, motion.approach),
                     NEAR_M,
                 )
                 for limit in limit_loads(motion, after)
@@ -107,14 +104,14 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
     return tuple(speeds)
 
 
-def limit_approach(limit: LoadLimits) -> float:
+def limit_approach(limit: LoadLimits, approach: Approach) -> float:
     """Return the largest speed at which a hand may meet what it is going to press [m/s].
 
     A hand that meets the surface too early presses on until the force is seen and the arm rests; its force stays below
     the cap if ``v <= (cap - expected - noise) / (stiffness * time)``.
     """
-    room = limit.cap_n - limit.expected_n - NOISE_N
-    return max(room / (STIFFNESS_N_M * REACTION_S), LEAST_M_S)
+    room = limit.cap_n - limit.expected_n - approach.noise_n
+    return max(room / (approach.stiffness_n_m * approach.reaction_s), LEAST_M_S)
 
 
 def check_frame_speeds(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:

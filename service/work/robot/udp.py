@@ -3,9 +3,9 @@
 Every datagram is a JSON object. The driver first sends ``{"hello": 1}`` until the robot answers with ``joint_names``,
 ``period_s`` and its reading. Then it sends a command per cycle, ``{"n", "q", "qd", "tau"}``, and the robot answers each
 with a reading, ``{"n", "time_s", "q", "qd", "torque"}``, which may have ``imu_rotation`` (9 numbers, row by row),
-``imu_angular_velocity``, ``imu_acceleration`` and ``foot_wrenches`` (six numbers by link). Units are those of
-``RobotReading``. Before the first command the driver says hello again for every reading. What is late or unreadable is
-left out; the guards of the execution see how old the last reading is.
+``imu_angular_velocity``, ``imu_acceleration``, ``foot_wrenches`` (six numbers by link) and ``base_offset`` (16 numbers,
+row by row). Units are those of ``RobotReading``. Before the first command the driver says hello again for every
+reading. What is late or unreadable is left out; the guards of the execution see how old the last reading is.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class UdpDriver:
         raise ValueError(f"no answer within {HELLO_S:g} s")
 
     def _read_message(self, message: Mapping[str, Any]) -> RobotReading:
-        n = len(self.joint_names)
+        n, base = len(self.joint_names), message.get("base_offset")
         return RobotReading(
             time_s=float(message["time_s"]),
             q=_read_numbers(message["q"], n),
@@ -124,6 +124,7 @@ class UdpDriver:
             imu_acceleration=_read_numbers(message.get("imu_acceleration", GRAVITY), 3),
             foot_wrenches={str(k): _read_numbers(v, 6) for k, v in message.get("foot_wrenches", {}).items()},
             torque=_read_numbers(message.get("torque", ()), None if message.get("torque") is None else n),
+            base_offset=None if base is None else _read_numbers(base, 16).reshape(4, 4),
         )
 
 

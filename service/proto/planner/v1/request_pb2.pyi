@@ -416,7 +416,7 @@ class RobotTorque(_message.Message):
     def __init__(self, check: bool = ..., unchecked: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RobotServo(_message.Message):
-    __slots__ = ("stiffness",)
+    __slots__ = ("stiffness", "hand_stiffness_n_m", "reaction_s", "force_noise_n")
     class StiffnessEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -425,8 +425,14 @@ class RobotServo(_message.Message):
         value: float
         def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
     STIFFNESS_FIELD_NUMBER: _ClassVar[int]
+    HAND_STIFFNESS_N_M_FIELD_NUMBER: _ClassVar[int]
+    REACTION_S_FIELD_NUMBER: _ClassVar[int]
+    FORCE_NOISE_N_FIELD_NUMBER: _ClassVar[int]
     stiffness: _containers.ScalarMap[str, float]
-    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    hand_stiffness_n_m: float
+    reaction_s: float
+    force_noise_n: float
+    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ..., hand_stiffness_n_m: _Optional[float] = ..., reaction_s: _Optional[float] = ..., force_noise_n: _Optional[float] = ...) -> None: ...
 
 class RobotHand(_message.Message):
     __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m", "fingers")
@@ -471,8 +477,15 @@ class Pose(_message.Message):
     def __init__(self, position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Start(_message.Message):
-    __slots__ = ("posture", "joints", "joint_names", "positions", "base")
+    __slots__ = ("posture", "joints", "joint_names", "positions", "base", "rates")
     class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    class RatesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
         VALUE_FIELD_NUMBER: _ClassVar[int]
@@ -484,16 +497,25 @@ class Start(_message.Message):
     JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
     POSITIONS_FIELD_NUMBER: _ClassVar[int]
     BASE_FIELD_NUMBER: _ClassVar[int]
+    RATES_FIELD_NUMBER: _ClassVar[int]
     posture: str
     joints: _containers.ScalarMap[str, float]
     joint_names: _containers.RepeatedScalarFieldContainer[str]
     positions: _containers.RepeatedScalarFieldContainer[float]
     base: Pose
-    def __init__(self, posture: _Optional[str] = ..., joints: _Optional[_Mapping[str, float]] = ..., joint_names: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., base: _Optional[_Union[Pose, _Mapping]] = ...) -> None: ...
+    rates: _containers.ScalarMap[str, float]
+    def __init__(self, posture: _Optional[str] = ..., joints: _Optional[_Mapping[str, float]] = ..., joint_names: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ..., base: _Optional[_Union[Pose, _Mapping]] = ..., rates: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class Goal(_message.Message):
-    __slots__ = ("joints", "poses", "posture", "any_of", "via")
+    __slots__ = ("joints", "poses", "posture", "any_of", "via", "rates")
     class JointsEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: float
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+    class RatesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
         VALUE_FIELD_NUMBER: _ClassVar[int]
@@ -505,12 +527,14 @@ class Goal(_message.Message):
     POSTURE_FIELD_NUMBER: _ClassVar[int]
     ANY_OF_FIELD_NUMBER: _ClassVar[int]
     VIA_FIELD_NUMBER: _ClassVar[int]
+    RATES_FIELD_NUMBER: _ClassVar[int]
     joints: _containers.ScalarMap[str, float]
     poses: _containers.RepeatedCompositeFieldContainer[PoseGoal]
     posture: str
     any_of: _containers.RepeatedCompositeFieldContainer[GoalPart]
     via: _containers.RepeatedCompositeFieldContainer[GoalPart]
-    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., posture: _Optional[str] = ..., any_of: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ..., via: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ...) -> None: ...
+    rates: _containers.ScalarMap[str, float]
+    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., posture: _Optional[str] = ..., any_of: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ..., via: _Optional[_Iterable[_Union[GoalPart, _Mapping]]] = ..., rates: _Optional[_Mapping[str, float]] = ...) -> None: ...
 
 class GoalPart(_message.Message):
     __slots__ = ("joints", "poses", "posture")
