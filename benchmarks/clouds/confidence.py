@@ -142,7 +142,7 @@ def read_truth(document: dict[str, object]) -> Iterator[Truth]:
         pose[:3, :3], pose[:3, 3] = np.column_stack([x / length, np.cross(z, x / length), z]), pivot
         yield Truth("lever", pose, {"length": length})
     elif truth["kind"] == "valve":
-        x, z = np.array(truth["tip"]) - truth["hub"], -np.array(truth["spindle_axis"])
+        x, z = np.array(truth["tip"]) - truth["hub"], np.array(truth["spindle_axis"])
         x -= (x @ z) * z
         length = float(np.linalg.norm(x))
         pose[:3, :3], pose[:3, 3] = np.column_stack([x / length, np.cross(z, x / length), z]), truth["hub"]

@@ -19,7 +19,7 @@ def as_detection(fit: Fit) -> Detection:
     template, one = fit.template, fit.hypotheses
     sizes = template.named(one.sizes)
     pose = np.eye(4)
-    pose[:3, :3] = one.rotation[0]
+    pose[:3, :3] = one.rotation[0] @ template.axes(sizes)[0]
     pose[:3, 3] = one.place[0] + one.rotation[0] @ template.origin(sizes)[0]
     residuals = {PREFIX + name: float(value) for name, value in zip(FEATURES, fit.features, strict=True)}
     residuals |= fit.spreads

@@ -64,6 +64,10 @@ WHOLE = Effort(4, (Pass(100, 100, 48, (0.03, 0.025, 0.02)), Pass(200, 200, 14, (
 """Of a search of many places in a scan."""
 CLICK = Effort(48, (Pass(100, 300, 48, (0.03, 0.025, 0.02)), Pass(150, 600, 12, (0.02, 0.015, 0.012, 0.01))), 4, True)
 """Of a search about a click."""
+LED = Effort(48, (Pass(100, 300, 32, (0.03, 0.025, 0.02)), Pass(150, 600, 10, (0.02, 0.015, 0.012, 0.01))), 3, True)
+"""Of a search about one fitted part."""
+PART = Effort(24, (Pass(100, 200, 24, (0.03, 0.025, 0.02, 0.015)), Pass(150, 400, 8, (0.015, 0.012, 0.01))), 8, False)
+"""Of a search for a part of an object, from which fits of the whole begin."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,14 @@ def search(
     template: Template, sites: Sequence[Site], index: SightIndex, most: int = 6, effort: Effort = WHOLE
 ) -> list[Fit]:
     """Return the fits that the rays support best, at most ``most``, best first."""
+    fine: list[Fit] = []
+    for i, one in begin(template, sites, index, effort):
+        fine += finish(template, one, sites[i], index, both_ways=effort.both_ways)
+    return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
+
+
+def begin(template: Template, sites: Sequence[Site], index: SightIndex, effort: Effort) -> list[tuple[int, Hypotheses]]:
+    """Return the hypotheses that few rays support best, refined on these, each with its site's number, best first."""
     regions = {i: region for i, site in enumerate(sites) if (region := _gather(template, site, index)) is not None}
     scored: list[tuple[float, int, Hypotheses]] = []
     for i, region in regions.items():
@@ -135,10 +147,7 @@ def search(
         scored += [(float(scores[k]), i, sites[i].begun.select([k])) for k in best]
     for one_pass in effort.passes:
         scored = _refine_best(template, scored, regions, one_pass)
-    fine: list[Fit] = []
-    for _, i, one in scored[: effort.n_fine]:
-        fine += finish(template, one, sites[i], index, both_ways=effort.both_ways)
-    return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
+    return [(i, one) for _, i, one in scored[: effort.n_fine]]
 
 
 def drop_same(fits: Sequence[Fit]) -> list[Fit]:

@@ -75,6 +75,7 @@ class Starts:
         n_spins: turns about it.
         near: radius in which points are averaged to a place [m].
         is_slender: whether the x axis may follow the points about a place.
+        part: template of the first sizes alone, along the same x axis; fits begin where it fits, either way round.
     """
 
     sizes: Float[np.ndarray, "K S"]
@@ -86,6 +87,11 @@ class Starts:
     n_spins: int = 1
     near: float = 0.1
     is_slender: bool = False
+    part: Template | None = None
+
+
+def _along_own_axes(sizes: dict[str, Float[np.ndarray, "B"]]) -> Float[np.ndarray, "B 3 3"]:
+    return np.tile(np.eye(3), (len(next(iter(sizes.values()))), 1, 1))
 
 
 def _at_own_origin(sizes: dict[str, Float[np.ndarray, "B"]]) -> Float[np.ndarray, "B 3"]:
@@ -109,6 +115,7 @@ class Template:
         model_sigma: how far real surfaces are from the parts' [m].
         starts: where fits begin about a click; None: nowhere.
         origin: of the frame that users see, by sizes, in the template's [m].
+        axes: rotation of that frame in the template's, by sizes.
         show: sizes that users see, by the template's.
     """
 
@@ -124,6 +131,7 @@ class Template:
     extent: str = ""
     starts: Starts | None = None
     origin: Callable[[dict[str, Float[np.ndarray, "B"]]], Float[np.ndarray, "B 3"]] = _at_own_origin
+    axes: Callable[[dict[str, Float[np.ndarray, "B"]]], Float[np.ndarray, "B 3 3"]] = _along_own_axes
     show: Callable[[dict[str, float]], dict[str, float]] = dict
 
     def named(self, sizes: Float[np.ndarray, "B S"]) -> dict[str, Float[np.ndarray, "B"]]:

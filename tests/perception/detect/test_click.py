@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 from perception import CONFIDENT, Detection, View, detect_at, make_view
 from perception.detect.engine.click import fit_at, propose
 from perception.detect.engine.doubts import list_doubts
+from perception.detect.engine.hits import as_detection
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Primitive, Torus, nearest, nearest_part
 from perception.detect.engine.surroundings import Surroundings
 from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
 from perception.detect.engine.templates.lever import LEVER
+from perception.detect.engine.templates.lever_on_pipe import LEVER_ON_PIPE
 from perception.detect.shared.overlap import offer_alternatives
 from perception.sightlines import sight_index
 from perception.simulate import Mesh, Pose, Scanner, box, cylinder, scan
@@ -99,6 +101,38 @@ def test_a_lever_near_a_click_is_fitted_and_its_opposite_is_offered_too(faced: t
     right = [k for k, hit in enumerate(hits) if np.linalg.norm(hit.pose_world_object[:3, 3] - pivot) < 0.015]
     assert any(ways[k] @ (0.0, -1.0, 0.0) > np.cos(np.radians(5.0)) for k in right)
     assert any(way @ (0.0, 1.0, 0.0) > np.cos(np.radians(10.0)) for way in ways)
+
+
+def test_a_wide_bent_lever_before_a_thick_pipe_is_fitted_with_its_pipe() -> None:
+    bend, hub = np.radians(6.0), np.array([1.28, 0.1, 1.2])
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("y", -bend).as_matrix()
+    pose[:3, 3] = hub
+    parts = [
+        box((-0.028, -0.025, -0.03), (0.028, 0.025, 0.28)).place(pose),
+        cylinder((1.28, 0.1, 1.2), (1.5, 0.1, 1.2), 0.02, 24),
+        cylinder((1.5, 0.1, 0.2), (1.5, 0.1, 2.2), 0.088, 48),
+        box((2.4, -2.0, 0.0), (2.5, 2.0, 2.5)),
+    ]
+    view = make_view(scan(parts, Pose((0.0, 0.0, 1.5)), SCANNER, 0))
+    around = Surroundings.of(view.near.points, np.median(view.near.starts, axis=0), hub + np.array([-0.02, 0.03, 0.18]))
+    fits = fit_at(LEVER_ON_PIPE, around, sight_index(view.cloud))
+    # From straight ahead either end may be the pivot.
+    bars = [(fit, fit.hypotheses.place[0] + 0.12 * fit.hypotheses.rotation[0][:, 0] - hub) for fit in fits]
+    along = pose[:3, 2]
+    right = [fit for fit, way in bars if np.linalg.norm(way - (way @ along) * along) < 0.015]
+    right = [fit for fit in right if abs(as_detection(fit).pose_world_object[2, 0]) > np.cos(np.radians(5.0))]
+    assert any(as_detection(fit).pose_world_object[0, 2] < -np.cos(np.radians(5.0)) for fit in right)
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-1.5, 1.5))
+def test_the_z_axis_of_a_lever_leads_from_its_pipe_however_it_is_bent(bend: float, turn: float) -> None:
+    sizes = LEVER_ON_PIPE.named(np.array([[0.2, 0.02, 0.01, 0.02, bend, 0.15, 0.05, turn]]))
+    axes, pipe = LEVER_ON_PIPE.axes(sizes)[0], LEVER_ON_PIPE.build(sizes)[2].solid
+    assert isinstance(pipe, Cylinder)
+    assert axes.T @ axes == pytest.approx(np.eye(3), abs=1e-12)
+    assert 0.5 * (pipe.first + pipe.last)[0] == pytest.approx(-0.15 * axes[:, 2], abs=1e-12)
+    assert (pipe.last - pipe.first)[0] @ axes[:, 2] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_carton_at_a_click_is_no_drill() -> None:
