@@ -52,6 +52,7 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     spline = _fit_spline(plan, is_smooth=timing is not None and timing.jerk_scale is not None)
     knots = spline.curve.knots
     borders = [float(knots[end]) for end in spline.ends]
+    stretches = _list_stretches(plan, borders)
     neighbours = make_neighbour_allowances(body.robot, body.scene, body.nominal)
     phases = tuple(
         _make_phase(_find_body(plan, phase), phase, neighbours, knots[a : b + 1][spline.is_waypoint[a : b + 1]])
@@ -86,13 +87,19 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     timing = replace(timing, support_links=planted, zmp_reserve_m=reserve)
     speeds = list_frame_speeds(motion, motion.phases)
     paces = [
-        Pace(first, last, _list_speeds(phase, speeds, first, last), phase.duration_s)
-        for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True)
-        if phase.kept is None or phase.kept.law is None
+        Pace(
+            parts[0][1],
+            parts[-1][2],
+            tuple(limit for phase, first, last in parts for limit in _list_speeds(phase, speeds, first, last)),
+            parts[0][0].duration_s if len(parts) == 1 else None,
+        )
+        for parts in stretches
+        if any(phase.kept is None or phase.kept.law is None for phase, _, _ in parts)
     ]
     carrying = [part.robot for part in split_motion(motion)]
     known = list(_place_laws(plan, borders))
-    law = time_curve(body.robot, spline.curve, borders, timing, phases, known, carrying, paces)
+    rests = [parts[-1][2] for parts in stretches]
+    law = time_curve(body.robot, spline.curve, rests, timing, phases, known, carrying, paces)
     settled = [
         border
         for phase, border in zip(plan.phases, pairwise(borders), strict=True)
@@ -108,6 +115,19 @@ def make_motion(plan: TaskPlan, timing: TimingSettings | None) -> Motion:
     chord = HELD_CHORD_SHARE * body.drift() if is_close else np.inf
     steps = _chord_steps(spline.curve, _limit_chords(plan, spline, chord))
     return replace(motion, law=law, samples=_sample_law(knots, law, steps))
+
+
+def _list_stretches(plan: TaskPlan, borders: Sequence[float]) -> list[list[tuple[PlannedPhase, float, float]]]:
+    """Return the phases between two rests, each with its path parameters."""
+    stretches: list[list[tuple[PlannedPhase, float, float]]] = []
+    is_open = False
+    for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True):
+        if is_open:
+            stretches[-1].append((phase, first, last))
+        else:
+            stretches.append([(phase, first, last)])
+        is_open = phase.flows
+    return stretches
 
 
 def _list_speeds(
@@ -127,7 +147,14 @@ def _fit_spline(plan: TaskPlan, *, is_smooth: bool) -> Spline:
     body, robot = plan.body, plan.body.robot
     standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
-        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), min(own.drift(), phase.drift), phase.kept)
+        PhasePath(
+            phase.name,
+            phase.q,
+            (*own.holds(), *phase.holds),
+            min(own.drift(), phase.drift),
+            phase.kept,
+            phase.flows,
+        )
         for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
@@ -268,7 +295,9 @@ def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monito
     for index, (phase, promise) in enumerate(zip(plan.phases, motion.phases, strict=True)):
         inside = [s for s in failures if promise.first < s < promise.last]
         if not inside:
-            phases[index] = phase if phase.at_waypoints is not None else _keep(phase, motion, promise)
+            # The tangent at a border without a rest changes with the phase beyond it.
+            is_open = phase.flows or (index > 0 and plan.phases[index - 1].flows)
+            phases[index] = phase if is_open or phase.at_waypoints is not None else _keep(phase, motion, promise)
             continue
         with monitor.step(f"repair {phase.name}", 0.9):
             repaired = phase.solve_again(_add_waypoints(motion, promise.first, promise.last, inside))
