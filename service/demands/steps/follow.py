@@ -44,15 +44,15 @@ def list_follow(robot: RobotModel, company: Company, step: FollowStep, name: str
         return StepPhase(f"{name}: reach", goal=GoalRequest(poses=(goal,)), **kept)  # type: ignore[arg-type]
 
     yield PhaseMaker(f"{name}: reach", begin)
-    ways = [_Part("approach", lambda R: Guide.line(places[0] + off, R, -off), is_path=False)]
+    ways = [_PathPart("approach", lambda R: Guide.line(places[0] + off, R, -off), is_path=False)]
     if step.circle is not None:
         middle, angle = find_middle(step, normal), float(np.deg2rad(step.circle.angle_deg))
         sense = -1.0 if step.circle.sense == "clockwise" else 1.0
-        ways.append(_Part("path", lambda R: Guide.screw(places[0], R, middle, normal, sense * angle, turns=False)))
+        ways.append(_PathPart("path", lambda R: Guide.screw(places[0], R, middle, normal, sense * angle, turns=False)))
     else:
         ways += _list_lines(np.stack(places), step.blend_m)
     end = places[-1] if step.circle is None else ways[-1].guide(np.eye(3)).positions(np.ones(1))[0]
-    ways.append(_Part("retreat", lambda R: Guide.line(end, R, off), is_path=False))
+    ways.append(_PathPart("retreat", lambda R: Guide.line(end, R, off), is_path=False))
     touches = allow(robot, frame, step.face.pieces, max(step.depth_m, 0.0) + step.touch_depth_m)
     if step.thrust_n and step.tilt_deg > STEEPEST_DEG:
         raise RequestError(
@@ -65,7 +65,7 @@ def list_follow(robot: RobotModel, company: Company, step: FollowStep, name: str
 
 
 @dataclass(frozen=True)
-class _Part:
+class _PathPart:
     """One line or arc of a path.
 
     Attributes:
@@ -85,20 +85,20 @@ class _Part:
     is_corner: bool = False
 
 
-def _list_lines(places: Float[np.ndarray, "P 3"], blend_m: float) -> Iterator[_Part]:
+def _list_lines(places: Float[np.ndarray, "P 3"], blend_m: float) -> Iterator[_PathPart]:
     """Yield the lines of a polyline, and the arcs at its corners if these are rounded."""
     cuts, steps = choose_cuts(places, blend_m), np.diff(places, axis=0)
     for k, step in enumerate(steps):
         name = "path" if len(steps) == 1 else f"path {k + 1}"
         into = step / np.linalg.norm(step)
         first, last = places[k] + cuts[k] * into, places[k + 1] - cuts[k + 1] * into
-        yield _Part(
+        yield _PathPart(
             name, partial(Guide.line, first, shift=last - first), flows=cuts[k + 1] > 0.0, is_entered=cuts[k] > 0.0
         )
         if cuts[k + 1]:
             arc = round_corner(last, np.eye(3), step, steps[k + 1], float(cuts[k + 1]))
             assert arc is not None
-            yield _Part(f"corner {k + 1}", partial(_turn_tool, arc), flows=True, is_entered=True, is_corner=True)
+            yield _PathPart(f"corner {k + 1}", partial(_turn_tool, arc), flows=True, is_entered=True, is_corner=True)
 
 
 def _turn_tool(guide: Guide, rotation: Float[np.ndarray, "3 3"]) -> Guide:
@@ -113,7 +113,7 @@ def _make_part(
     name: str,
     frame: str,
     axis: Float[np.ndarray, "3"],
-    part: _Part,
+    part: _PathPart,
     touches: tuple[Allowance, ...],
     q: Float[np.ndarray, "n"],
 ) -> StepPhase:
