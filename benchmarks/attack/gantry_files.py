@@ -14,7 +14,8 @@ def _box(size: str, at: str) -> str:
     return f'<origin xyz="{at}"/><geometry><box size="{size}"/></geometry>'
 
 
-def _link(name: str, mass: float, size: str, at: str = "0 0 0") -> str:
+def format_link(name: str, mass: float, size: str, at: str = "0 0 0") -> str:
+    """Return the URDF of a link that is a box [kg, m]."""
     inertia = f'<inertia ixx="{mass * 1e-3}" iyy="{mass * 1e-3}" izz="{mass * 1e-3}" ixy="0" ixz="0" iyz="0"/>'
     return (
         f'<link name="{name}"><inertial><origin xyz="{at}"/><mass value="{mass}"/>{inertia}</inertial>'
@@ -22,7 +23,10 @@ def _link(name: str, mass: float, size: str, at: str = "0 0 0") -> str:
     )
 
 
-def _joint(name: str, kind: str, parent: str, child: str, at: str, axis: str, limit: tuple[float, float, float]) -> str:
+def format_joint(
+    name: str, kind: str, parent: str, child: str, at: str, axis: str, limit: tuple[float, float, float]
+) -> str:
+    """Return the URDF of a joint with its least and largest value and its effort."""
     low, high, effort = limit
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{at}"/>'
@@ -33,20 +37,20 @@ def _joint(name: str, kind: str, parent: str, child: str, at: str, axis: str, li
 def write_gantry(folder: Path, *, follows: bool = False) -> Path:
     """Write its URDF; with ``follows`` the second finger follows the first one."""
     parts = [
-        _link("base", 5.0, "0.1 0.1 0.1", "0 0 2.2"),
-        _link("bridge", 2.0, "0.08 0.08 0.08"),
-        _link("trolley", 2.0, "0.08 0.08 0.08"),
-        _link("column", 2.0, "0.06 0.06 0.8", "0 0 -0.4"),
-        _link("hand", 1.0, "0.12 0.04 0.06", "0 0 -0.03"),
-        _link("finger_1", 0.1, f"0.014 0.02 {FINGER_M}", f"0.007 0 {-0.5 * FINGER_M}"),
-        _link("finger_2", 0.1, f"0.014 0.02 {FINGER_M}", f"-0.007 0 {-0.5 * FINGER_M}"),
+        format_link("base", 5.0, "0.1 0.1 0.1", "0 0 2.2"),
+        format_link("bridge", 2.0, "0.08 0.08 0.08"),
+        format_link("trolley", 2.0, "0.08 0.08 0.08"),
+        format_link("column", 2.0, "0.06 0.06 0.8", "0 0 -0.4"),
+        format_link("hand", 1.0, "0.12 0.04 0.06", "0 0 -0.03"),
+        format_link("finger_1", 0.1, f"0.014 0.02 {FINGER_M}", f"0.007 0 {-0.5 * FINGER_M}"),
+        format_link("finger_2", 0.1, f"0.014 0.02 {FINGER_M}", f"-0.007 0 {-0.5 * FINGER_M}"),
         '<link name="tool"/>',
-        _joint("x", "prismatic", "base", "bridge", "0 0 2.1", "1 0 0", (-1.0, 1.0, 500.0)),
-        _joint("y", "prismatic", "bridge", "trolley", "0 0 -0.1", "0 1 0", (-1.0, 1.0, 500.0)),
-        _joint("z", "prismatic", "trolley", "column", "0 0 -0.08", "0 0 1", (-1.0, 0.0, 500.0)),
-        _joint("yaw", "revolute", "column", "hand", "0 0 -0.85", "0 0 1", (-3.1, 3.1, 50.0)),
-        _joint("grip_1", "prismatic", "hand", "finger_1", "0.004 0 -0.06", "1 0 0", (0.0, REACH_M, GRIP_N)),
-        _joint("grip_2", "prismatic", "hand", "finger_2", "-0.004 0 -0.06", "-1 0 0", (0.0, REACH_M, GRIP_N)),
+        format_joint("x", "prismatic", "base", "bridge", "0 0 2.1", "1 0 0", (-1.0, 1.0, 500.0)),
+        format_joint("y", "prismatic", "bridge", "trolley", "0 0 -0.1", "0 1 0", (-1.0, 1.0, 500.0)),
+        format_joint("z", "prismatic", "trolley", "column", "0 0 -0.08", "0 0 1", (-1.0, 0.0, 500.0)),
+        format_joint("yaw", "revolute", "column", "hand", "0 0 -0.85", "0 0 1", (-3.1, 3.1, 50.0)),
+        format_joint("grip_1", "prismatic", "hand", "finger_1", "0.004 0 -0.06", "1 0 0", (0.0, REACH_M, GRIP_N)),
+        format_joint("grip_2", "prismatic", "hand", "finger_2", "-0.004 0 -0.06", "-1 0 0", (0.0, REACH_M, GRIP_N)),
         '<joint name="tool_joint" type="fixed"><parent link="hand"/><child link="tool"/>'
         f'<origin xyz="0 0 {-0.06 - FINGER_M + 0.02}" rpy="3.141592653589793 0 0"/></joint>',
     ]

@@ -1,11 +1,14 @@
-"""Steps of a fixed arm with a gripper of two fingers: line, path on a face, peg into a hole, pick and place.
+"""Steps of robots by path with a gripper of two fingers: line, path on a face, peg into a hole, pick and place.
 
-``python -m benchmarks.tasks.arms``: the Panda of the folder ``SCOPT_DATA`` (default: ``../shared/data``) by path, with
-fingers that slide; without it nothing is measured.
+``python -m benchmarks.tasks.arms [--robots panda ur5 g1 talos]``: the Panda of the folder ``SCOPT_DATA`` (default:
+``../shared/data``) with fingers that slide, the others of ``example-robot-data`` (the extra ``robots``, or
+``EXAMPLE_ROBOT_DATA``, the prefix into which it is installed) with a gripper of our own at the right hand. What is not
+there is left out.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import tempfile
 import time
@@ -15,6 +18,7 @@ from typing import Any
 
 from benchmarks.tables import print_table
 from benchmarks.tasks.object_cases import make_hole
+from benchmarks.tasks.published_robots import PUBLISHED, find_published
 from service.errors import RequestError
 from service.planner import plan
 from service.request.file import parse_request
@@ -78,21 +82,30 @@ def make_requests(urdf: Path) -> Mapping[str, dict[str, Any]]:
 
 def main() -> None:
     """Plan every request, print a row for each, and why one is not certified."""
-    if not (DATA / "robots/panda").is_dir():
-        print(f"{DATA} has no Panda; SCOPT_DATA names the folder")
-        return
-    rows = []
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("panda", *PUBLISHED)
+    parser.add_argument("--robots", nargs="+", choices=names, default=names)
+    given, published, rows = parser.parse_args(), find_published(), list[list[str]]()
     with tempfile.TemporaryDirectory() as scratch:
-        for name, data in make_requests(write_panda(Path(scratch))).items():
-            started = time.process_time()
-            try:
-                result = plan(parse_request(data))
-            except RequestError as error:
-                print(f"{name}: {error}", flush=True)
+        for robot in given.robots:
+            if robot == "panda" and (DATA / "robots/panda").is_dir():
+                requests = make_requests(write_panda(Path(scratch)))
+            elif robot != "panda" and published is not None:
+                requests = PUBLISHED[robot](published, Path(scratch))
+            else:
+                print(f"no {robot}: SCOPT_DATA or EXAMPLE_ROBOT_DATA names its folder")
                 continue
-            cost = f"{time.process_time() - started:.1f}"
-            rows.append([name, result.verdict.value, cost, " ".join(result.explanation)[:160]])
-    print_table("Steps of a Panda", ["steps", "verdict", "CPU [s]", "why not"], rows)
+            for name, data in requests.items():
+                started = time.process_time()
+                try:
+                    result = plan(parse_request(data))
+                except RequestError as error:
+                    print(f"{robot} {name}: {error}", flush=True)
+                    continue
+                cost = f"{time.process_time() - started:.1f}"
+                rows.append([robot, name, result.verdict.value, cost, " ".join(result.explanation)[:160]])
+                print(*rows[-1], flush=True)
+    print_table("Steps of robots by path", ["robot", "steps", "verdict", "CPU [s]", "why not"], rows)
 
 
 if __name__ == "__main__":

@@ -98,6 +98,11 @@ class PlannedPhase:
         """As the user sees it."""
         return self.phase.name
 
+    @property
+    def flows(self) -> bool:
+        """Whether the motion goes on into the next phase without a rest."""
+        return self.phase.flows
+
     def solve_again(self, q: Float[np.ndarray, "T n"]) -> PlannedPhase | None:
         """Solve the phase from a denser trajectory between the same ends; None if it cannot be solved again."""
         if self.resolve is None:

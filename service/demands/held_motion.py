@@ -6,7 +6,7 @@ promises are listed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 
 import numpy as np
@@ -106,6 +106,7 @@ def hold_to_request(demands: Demands, recorded: Motion) -> HeldMotion:
         return HeldMotion(recorded, tuple(differences))
     differences += compare_path(demands, recorded)
     demanded = task.demand_phases(demands.world, robot, recorded)
+    differences += compare_rests(recorded, demanded.phases)
     standing = _Standing.of(demands, robot)
     phases = tuple(standing.rebuild(recorded, *one) for one in enumerate(demanded.phases))
     differences += demanded.problems
@@ -269,7 +270,7 @@ def compare_world(demands: Demands, robot: RobotModel, recorded: Motion) -> Iter
 
 
 def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
-    """Yield a sentence for each difference in start, time law, fixed joints and phase borders."""
+    """Yield a sentence for each difference in start, time law and fixed joints."""
     q = recorded.curve.positions[:, : demands.robot.n]
     off = np.abs(q[0] - demands.world.start)
     if off.max(initial=0.0) > SAME:
@@ -278,12 +279,19 @@ def compare_path(demands: Demands, recorded: Motion) -> Iterator[str]:
     if demands.request.options.timed and recorded.law is None:
         yield "the request demands a timed motion, and the record has no time law"
     yield from demands.task.find_strays(demands.world, q)
-    for phase in recorded.phases[1:]:
-        if not _rests(recorded, phase.first):
-            yield f"phase '{phase.name}' begins while the robot moves; it must rest there"
     names = [phase.name for phase in recorded.phases]
     if {ESCAPE, RAISE} & {*names[1:]}:
         yield "only the first phase may escape from an overlap at the start, or raise what rests on something"
+
+
+def compare_rests(recorded: Motion, demanded: Sequence[TaskPhase]) -> Iterator[str]:
+    """Yield a sentence for each border of phases where the robot moves instead of resting, or the other way round."""
+    for before, phase in zip(demanded, recorded.phases[1:], strict=False):
+        rests = _rests(recorded, phase.first)
+        if not before.flows and not rests:
+            yield f"phase '{phase.name}' begins while the robot moves; it must rest there"
+        elif before.flows and rests:
+            yield f"phase '{phase.name}' begins at rest; the robot must go on there"
 
 
 def compare_phase(recorded: Phase, own: Phase, has_own_targets: bool) -> Iterator[str]:

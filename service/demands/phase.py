@@ -129,6 +129,7 @@ class TaskPhase:
         pressed: parts of the mechanism that hands press.
         carriers: what carries each of the task's objects.
         stands: (n,) configuration of the robot at whose feet it stands where ``contacts`` is None; None for its start.
+        flows: whether the motion goes on into the next phase without a rest, on the same contacts with the same load.
     """
 
     name: str
@@ -147,6 +148,7 @@ class TaskPhase:
     pressed: tuple[PressedPart, ...] = ()
     carriers: tuple[Carrier, ...] = ()
     stands: Float[np.ndarray, "n"] | None = None
+    flows: bool = False
 
     @property
     def hand(self) -> FrameMotion | None:

@@ -51,6 +51,9 @@ class TimedPhase(Protocol):
     @property
     def end_s(self) -> float: ...
 
+    @property
+    def rests(self) -> bool: ...
+
 
 @dataclass(frozen=True)
 class MachineSettings:
@@ -209,7 +212,7 @@ class ExecutionMachine:
         """Return the state on its way to the last pose in balance, counted from where the clock can come to rest."""
         speed, rate = self.settings.speed, max(state.rate, 0.0)
         rest = (max(rate - speed, 0.0) + 0.5 * min(rate, speed) ** 2 / speed) * self.settings.ramp_s
-        goal = min(state.time_s + rest, self.phases[state.phase].end_s)
+        goal = min(state.time_s + rest, self._find_rest(state.phase))
         if self.balance is not None:
             goal = self.balance.find_last(goal, lost, self.settings.margin_m)
         return replace(state, mode=Mode.RETURNING, goal_s=goal, reason=reason)
@@ -222,6 +225,8 @@ class ExecutionMachine:
         if state.phase + 1 == len(self.phases):
             return replace(state, mode=Mode.DONE, time_s=end, rate=0.0, reason="")
         waiting = [finding for finding in findings if finding.severity is Severity.WAIT]
+        if not self.phases[state.phase].rests:
+            waiting = []  # nothing comes into contact at this border, through which the robot moves
         if waiting and state.mode is Mode.RUNNING:
             # All motion rests at this border, so that the clock may stop at once.
             sentence = waiting[0].sentence
@@ -241,7 +246,7 @@ class ExecutionMachine:
 
     def _come_to_rest(self, state: MachineState, period_s: float) -> MachineState:
         """Slow the clock down inside the present phase; a hold has ended once it stands still."""
-        rate, end = self._approach(state.rate, 0.0, period_s), self.phases[state.phase].end_s
+        rate, end = self._approach(state.rate, 0.0, period_s), self._find_rest(state.phase)
         time = min(max(state.time_s + rate * period_s, 0.0), end)  # what the next phase needs may be missing
         rate = 0.0 if rate > 0.0 and time == end else rate  # all motion rests at this border
         state = replace(state, time_s=time, rate=rate, phase=self._find_phase(time, state.phase))
@@ -257,12 +262,18 @@ class ExecutionMachine:
         )
         rate = self._approach(state.rate, wanted, period_s)
         time = max(state.time_s + rate * period_s, state.goal_s) if rate < 0.0 else state.time_s + rate * period_s
-        time = min(time, self.phases[state.phase].end_s)  # what the next phase needs may be missing
+        time = min(time, self._find_rest(state.phase))  # what the next phase needs may be missing
         if rate <= 0.0 and time - state.goal_s <= 1e-4:
             return replace(state, mode=Mode.ABORTED, time_s=time, rate=0.0, phase=self._find_phase(time, state.phase))
         return replace(state, time_s=time, rate=rate, phase=self._find_phase(time, state.phase))
 
+    def _find_rest(self, phase: int) -> float:
+        """Return when the robot rests next, from a phase on [s]."""
+        return next((own.end_s for own in self.phases[phase:] if own.rests), self.phases[-1].end_s)
+
     def _find_phase(self, time_s: float, phase: int) -> int:
+        while phase + 1 < len(self.phases) and not self.phases[phase].rests and time_s >= self.phases[phase].end_s:
+            phase += 1
         while phase > 0 and time_s < self.phases[phase].begin_s:
             phase -= 1
         return phase

@@ -30,6 +30,7 @@ from service.verify import (
 
 TABLE_STEP_S = 2e-3  # of desired positions, which are read linearly between
 FORCE_STEP_S = 0.02  # of torques and contact forces
+RESTING_RATE = 1e-3  # of the curve's parameter at a rest, as a share of its largest
 BLEND_S = 0.4  # before a contact leaves and after it came, during which its force goes and comes
 LOAD_RAMP_S = 0.2  # in which the feed-forward of a load comes and goes
 
@@ -43,6 +44,7 @@ class ReferencePhase:
         begin_s, end_s: its ends on the plan's clock.
         contacts: links planted throughout, with their poses and points.
         loads: forces of the hands on the mechanism, one entry per tool.
+        rests: whether the robot rests at its end; otherwise it goes on through the border on the same contacts.
     """
 
     name: str
@@ -50,6 +52,7 @@ class ReferencePhase:
     end_s: float
     contacts: tuple[PlantedContact, ...]
     loads: tuple[LoadLimits, ...]
+    rests: bool = True
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,9 @@ class PlannedReference:
 
     def _read_phase(self, phase: Phase) -> ReferencePhase:
         begin, end = (float(t) - self._start_s for t in find_times(self._law, np.array([phase.first, phase.last])))
-        return ReferencePhase(phase.name, begin, end, phase.contacts, limit_loads(self.motion, phase))
+        speed = float(self._law.at(np.array([end + self._start_s]))[1][0])
+        rests = speed <= RESTING_RATE * float(self._law.speed.max())
+        return ReferencePhase(phase.name, begin, end, phase.contacts, limit_loads(self.motion, phase), rests)
 
     def _tabulate_forces(self) -> tuple[Float[np.ndarray, "G n"], dict[str, Float[np.ndarray, "G 6"]]]:
         """Return generalised forces, and contact wrenches by link, on the grid."""

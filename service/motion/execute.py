@@ -101,7 +101,14 @@ def _fit_spline(plan: TaskPlan, *, is_smooth: bool) -> Spline:
     body, robot = plan.body, plan.body.robot
     standing = [_find_body(plan, phase) for phase in plan.phases]
     paths = [
-        PhasePath(phase.name, phase.q, (*own.holds(), *phase.holds), min(own.drift(), phase.drift), phase.kept)
+        PhasePath(
+            phase.name,
+            phase.q,
+            (*own.holds(), *phase.holds),
+            min(own.drift(), phase.drift),
+            phase.kept,
+            phase.flows,
+        )
         for phase, own in zip(plan.phases, standing, strict=True)
     ]
     speed = np.where(np.isfinite(robot.velocity), robot.velocity, BASE_SPEED)
@@ -234,7 +241,9 @@ def repair_plan(plan: TaskPlan, motion: Motion, certificate: Certificate, monito
     for index, (phase, promise) in enumerate(zip(plan.phases, motion.phases, strict=True)):
         inside = [s for s in failures if promise.first < s < promise.last]
         if not inside:
-            phases[index] = phase if phase.at_waypoints is not None else _keep(phase, motion, promise)
+            # The tangent at a border without a rest changes with the phase beyond it.
+            is_open = phase.flows or (index > 0 and plan.phases[index - 1].flows)
+            phases[index] = phase if is_open or phase.at_waypoints is not None else _keep(phase, motion, promise)
             continue
         with monitor.step(f"repair {phase.name}", 0.9):
             repaired = phase.solve_again(_add_waypoints(motion, promise.first, promise.last, inside))

@@ -39,14 +39,16 @@ class PlanTimer:
     Attributes:
         plan: with the curves, laws and speeds of its phases.
         borders: path parameters at which phases begin, and the last end.
+        rests: those at which the robot rests: not between phases that flow into each other.
         settings: limits.
-        paces: of the phases without a law of their own.
+        paces: of the stretches between rests without a law of their own.
         speeds: largest speeds of frames that the motion promises.
         settled: ends of the phases whose law is known to keep all limits.
     """
 
     plan: TaskPlan
     borders: tuple[float, ...]
+    rests: tuple[float, ...]
     settings: TimingSettings
     paces: tuple[Pace, ...]
     speeds: tuple[FrameSpeed, ...]
@@ -56,14 +58,21 @@ class PlanTimer:
     def of(plan: TaskPlan, motion: Motion, borders: Sequence[float], settings: TimingSettings) -> PlanTimer:
         """Read what the phases of a plan say about its law."""
         speeds = tuple(list_frame_speeds(motion, motion.phases))
-        phases = list(zip(plan.phases, pairwise(borders), strict=True))
+        stretches = _list_stretches(plan, borders)
         paces = tuple(
-            Pace(first, last, _list_speeds(phase, speeds, first, last), phase.duration_s)
-            for phase, (first, last) in phases
-            if phase.kept is None or phase.kept.law is None
+            Pace(
+                parts[0][1],
+                parts[-1][2],
+                tuple(limit for phase, first, last in parts for limit in _list_speeds(phase, speeds, first, last)),
+                parts[0][0].duration_s if len(parts) == 1 else None,
+            )
+            for parts in stretches
+            if any(phase.kept is None or phase.kept.law is None for phase, _, _ in parts)
         )
+        phases = zip(plan.phases, pairwise(borders), strict=True)
         settled = tuple(border for phase, border in phases if phase.kept is not None and phase.kept.is_settled)
-        return PlanTimer(plan, tuple(borders), settings, paces, speeds, settled)
+        rests = tuple(parts[-1][2] for parts in stretches)
+        return PlanTimer(plan, tuple(borders), rests, settings, paces, speeds, settled)
 
     def time(self, motion: Motion) -> Motion:
         """Return the motion with its time law, the ends of its curve fitted where the robot moves there.
@@ -85,7 +94,7 @@ class PlanTimer:
         carrying = [part.robot for part in split_motion(motion)]
         known = list(_place_laws(self.plan, self.borders))
         return time_curve(
-            motion.robot, motion.curve, self.borders, self.settings, motion.phases, known, carrying, self.paces, ends
+            motion.robot, motion.curve, self.rests, self.settings, motion.phases, known, carrying, self.paces, ends
         )
 
     def _slow(self, motion: Motion, law: TimeLaw) -> TimeLaw:
@@ -139,6 +148,19 @@ def _fit_ends(curve: Curve, rates: Float[np.ndarray, "2 n"], speeds: Float[np.nd
         if speed > 0.0:
             tangents[end] = rate / speed
     return replace(curve, tangents=tangents)
+
+
+def _list_stretches(plan: TaskPlan, borders: Sequence[float]) -> list[list[tuple[PlannedPhase, float, float]]]:
+    """Return the phases between two rests, each with its path parameters."""
+    stretches: list[list[tuple[PlannedPhase, float, float]]] = []
+    is_open = False
+    for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True):
+        if is_open:
+            stretches[-1].append((phase, first, last))
+        else:
+            stretches.append([(phase, first, last)])
+        is_open = phase.flows
+    return stretches
 
 
 def _list_speeds(

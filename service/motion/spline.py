@@ -1,4 +1,4 @@
-"""The executed curve through the waypoints: projected onto the holds, smooth within a phase, at rest between."""
+"""The executed curve through the waypoints: projected onto the holds, smooth within a phase, at rest between most."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ class PhasePath:
         holds: residuals kept at zero (planted feet, a hand on a wheel).
         drift: largest residual of a hold between waypoints [m, rad].
         kept: curve through the waypoints that is taken as it is, or None.
+        flows: whether the curve goes on into the next phase without a rest.
     """
 
     name: str
@@ -48,6 +49,7 @@ class PhasePath:
     holds: tuple[Hold, ...]
     drift: float = DRIFT
     kept: KeptCurve | None = None
+    flows: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,11 @@ def make_spline(
     tangents: list[np.ndarray] = []
     knots: list[np.ndarray] = []
     led = find_led(engine.robot)
+    rest = np.zeros(len(lower))
+    leaving = rest  # tangent at the end of the phase before
     for index, path in enumerate(paths):
         first = refined[-1].q[-1] if index else path.q[0]
+        entering, leaving = leaving, rest
         if path.kept is not None:
             own = path.kept.curve
             refined.append(replace(path, q=np.concatenate([first[None], own.positions[1:]])))
@@ -106,9 +111,12 @@ def make_spline(
         if engine.robot.rolls:
             q = straighten(q)
         q[1:] = project_onto_holds(engine, q[1:], path.holds, led)
+        if path.flows and index + 1 < len(paths) and paths[index + 1].kept is None:
+            leaving = _find_border_tangent(engine, q, path.holds, paths[index + 1], lower, upper, speed)
+        ends = np.stack([entering, leaving])
         for _ in range(MAX_INSERTIONS):
             s = _parametrise(q, speed)
-            v = _compute_tangents(engine, q, s, path.holds, lower, upper, is_smooth=is_smooth)
+            v = _compute_tangents(engine, q, s, path.holds, lower, upper, ends, is_smooth=is_smooth)
             curve = Curve(s, q, v)
             inner = curve((s[:-1] + np.diff(s) * DRIFT_AT[:, None]).ravel())
             errors = largest_hold_error(engine, inner, path.holds).reshape(len(DRIFT_AT), -1)
@@ -120,7 +128,7 @@ def make_spline(
             is_original = np.insert(is_original, drifting + 1, False)
         s = _parametrise(q, speed)
         refined.append(replace(path, q=q))
-        tangents.append(_compute_tangents(engine, q, s, path.holds, lower, upper, is_smooth=is_smooth))
+        tangents.append(_compute_tangents(engine, q, s, path.holds, lower, upper, ends, is_smooth=is_smooth))
         knots.append(s)
         originals.append(is_original)
     return _join_phases(refined, knots, tangents, originals)
@@ -132,7 +140,7 @@ def _join_phases(
     tangents: Sequence[np.ndarray],
     originals: Sequence[np.ndarray],
 ) -> Spline:
-    """Join the phases to a curve; they share their border knots, where the tangents vanish."""
+    """Join the phases to a curve; they share their border knots and the tangents there."""
     s, q, v = [knots[0]], [paths[0].q], [tangents[0]]
     is_waypoint = [originals[0]]
     ends = [0, len(knots[0]) - 1]
@@ -159,21 +167,23 @@ def _compute_tangents(
     holds: Sequence[Hold],
     lower: Float[np.ndarray, "n"],
     upper: Float[np.ndarray, "n"],
+    ends: Float[np.ndarray, "2 n"],
     *,
     is_smooth: bool,
 ) -> Float[np.ndarray, "T n"]:
-    """Return dq/ds at the waypoints, within limits and along the holds; zero at the ends.
+    """Return dq/ds at the waypoints, within limits and along the holds; at both ends as they are given.
 
     They are three-point differences, or those of the cubic spline with a continuous second derivative.
     """
     poll()
     slopes = np.diff(q, axis=0) / np.diff(s)[:, None]
     tangents = np.zeros_like(q)
+    tangents[0], tangents[-1] = ends
     h = np.diff(s)[:, None]
     if len(q) > 2:
         mean = h[1:] * slopes[:-1] + h[:-1] * slopes[1:]
         width = h[1:] + h[:-1]
-        tangents[1:-1] = _solve_smooth(h[:, 0], 3.0 * mean) if is_smooth else mean / width
+        tangents[1:-1] = _solve_smooth(h[:, 0], 3.0 * mean, ends) if is_smooth else mean / width
     least, most = _tangent_limits(q, h, lower, upper)
     tangents = np.clip(tangents, least, most)
     if engine.robot.rolls:
@@ -182,8 +192,37 @@ def _compute_tangents(
     return np.asarray(tangents)
 
 
-def _solve_smooth(h: Float[np.ndarray, "T-1"], right: Float[np.ndarray, "T-2 n"]) -> Float[np.ndarray, "T-2 n"]:
-    """Return the inner tangents at which the second derivatives of both sides are equal, for resting ends."""
+def _find_border_tangent(
+    engine: KinematicsEngine,
+    q: Float[np.ndarray, "T n"],
+    holds: Sequence[Hold],
+    after: PhasePath,
+    lower: Float[np.ndarray, "n"],
+    upper: Float[np.ndarray, "n"],
+    speed: Float[np.ndarray, "n"],
+) -> Float[np.ndarray, "n"]:
+    """Return dq/ds between two phases, along the holds of both.
+
+    Args:
+        engine, lower, upper, speed: as in ``make_spline``.
+        q: (T, n) waypoints of the phase before.
+        holds: of the phase before.
+        after: the phase after.
+    """
+    around = np.stack([q[-2], q[-1], project_onto_holds(engine, after.q[1:2], after.holds, find_led(engine.robot))[0]])
+    s = _parametrise(around, speed)
+    both = (*holds, *after.holds)
+    tangents = _compute_tangents(engine, around, s, both, lower, upper, np.zeros((2, q.shape[1])), is_smooth=False)
+    return np.asarray(tangents[1])
+
+
+def _solve_smooth(
+    h: Float[np.ndarray, "T-1"], right: Float[np.ndarray, "T-2 n"], ends: Float[np.ndarray, "2 n"]
+) -> Float[np.ndarray, "T-2 n"]:
+    """Return the inner tangents at which the second derivatives of both sides are equal, for given ends."""
+    right = right.copy()
+    right[0] -= h[1] * ends[0]
+    right[-1] -= h[-2] * ends[1]
     bands = np.zeros((3, len(right)))
     bands[1] = 2.0 * (h[1:] + h[:-1])
     bands[0, 1:], bands[2, :-1] = h[:-2], h[2:]

@@ -293,10 +293,20 @@ def _find_free_torques(robot: RobotModel, settings: TimingSettings) -> Bool[np.n
 
 
 def _find_covering(phases: Sequence[Phase], first: float, last: float) -> int | None:
-    """Return the number of the phase that covers the stretch, if there is exactly one."""
+    """Return the number of the phase that covers the stretch, or of the first of several that do on the same feet."""
     slack = 1e-9 * max(1.0, abs(last))
-    covering = [k for k, phase in enumerate(phases) if phase.first - slack <= first and last <= phase.last + slack]
-    return covering[0] if len(covering) == 1 else None
+    inside = [k for k, phase in enumerate(phases) if phase.first < last - slack and phase.last > first + slack]
+    if not inside or phases[inside[0]].first > first + slack or phases[inside[-1]].last < last - slack:
+        return None
+    supports = [phases[k].support for k in inside]
+    return inside[0] if all(_stand_alike(a, b) for a, b in pairwise(supports)) else None
+
+
+def _stand_alike(a: SupportPolygon | None, b: SupportPolygon | None) -> bool:
+    """Return whether two polygons are the same."""
+    if a is None or b is None:
+        return a is b
+    return a.polygon.shape == b.polygon.shape and bool(np.allclose(a.polygon, b.polygon, atol=1e-9))
 
 
 def _time_segment(
@@ -316,6 +326,7 @@ def _time_segment(
     fastest = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest)
     for wanted in limits:
         rates = _measure_rates(robot, curve, grid, wanted.frame)
+        rates[(grid < wanted.first) | (grid > wanted.last)] = 0.0
         if np.isfinite(wanted.near_m):
             _, places = trace_frame(robot.model, wanted.frame, curve(np.append(grid, wanted.last)))
             rates[np.linalg.norm(places[:-1] - places[-1], axis=1) > _NEAR_SHARE * wanted.near_m] = 0.0

@@ -19,7 +19,7 @@ from service.errors import ResultError
 from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation
-from service.verify import Motion, find_mechanism_joints, measure_rest_margin, split_motion
+from service.verify import Motion, find_mechanism_joints, measure_rests, place_resting, split_motion
 
 TIME_STEP_S = 1e-3
 ARMATURE = 0.1  # of a joint of a robot of the reference mass [kg m^2]
@@ -121,11 +121,14 @@ class SpecBuilder:
         if several is not None:
             self.spec.option.enableflags |= int(several)
         first = split_motion(self.motion)[0]
-        bodies = {body.name: body for body in first.robot.bodies}
-        for item in self.motion.objects:
-            centre = item.start[:3, :3] @ item.inertia.centre + item.start[:3, 3]
-            _, names = measure_rest_margin(bodies[item.name], centre, self.motion.scene.pieces)
-            moved = np.mean([self.perturbation.places[name] for name in names] or [np.zeros(3)], axis=0)
+        carried = {carrier.item for carrier in first.phases[0].carriers if carrier.link is not None}
+        resting = [place_resting(first.robot, item) for item in self.motion.objects if item.name not in carried]
+        rests = measure_rests(resting, self.motion.scene.pieces)
+        places = dict(self.perturbation.places)
+        for item in sorted(self.motion.objects, key=lambda own: float(own.start[2, 3])):  # what carries others first
+            names = rests[item.name].names if item.name in rests else ()
+            moved = np.mean([places[name] for name in names if name in places] or [np.zeros(3)], axis=0)
+            places[item.name] = moved
             body = self.spec.worldbody.add_body(
                 name=f"object:{item.name}", pos=item.start[:3, 3] + moved, quat=_quaternion(item.start[:3, :3])
             )

@@ -25,6 +25,7 @@ from service.verify.carrying.carriers import (
 from service.verify.carrying.checks import (
     REST_MARGIN_M,
     find_grip_slowdown,
+    place_resting,
 )
 from service.verify.carrying.grasp import (
     GRAVITY,
@@ -34,11 +35,11 @@ from service.verify.carrying.placing import (
     place_frames,
     split_motion,
 )
-from service.verify.carrying.resting import (
-    measure_rest_margin,
-)
 from service.verify.carrying.sharing import (
     share_weight,
+)
+from service.verify.carrying.stacks import (
+    measure_rests,
 )
 from service.verify.certificate import (
     Basis,
@@ -320,13 +321,14 @@ __all__ = [
     "measure_excess",
     "measure_jerks",
     "measure_lean",
-    "measure_rest_margin",
+    "measure_rests",
     "measure_timed_peaks",
     "meet",
     "offset_from_target",
     "outside_polygon",
     "place_frames",
     "place_rates",
+    "place_resting",
     "promises_hash",
     "robot_hash",
     "round_down",

@@ -22,6 +22,7 @@ class Stretch:
     name: str
     begin_s: float
     end_s: float
+    rests: bool = True
 
 
 PHASES = tuple(Stretch(f"phase {k}", ([0.0, *ENDS])[k], end) for k, end in enumerate(ENDS))
@@ -105,6 +106,17 @@ def test_a_pause_in_any_phase_stops_the_clock_smoothly_and_resume_goes_on(at):
     assert max(still) == min(still)
     assert states[-1].mode is Mode.DONE
     check_smooth(states, machine.settings)
+
+
+@pytest.mark.parametrize("order", [Order.PAUSE, Order.STOP, Order.ABORT])
+def test_the_clock_does_not_stop_at_once_at_a_border_through_which_the_robot_moves(order):
+    phases = (replace(PHASES[0], rests=False), *PHASES[1:])
+    machine = ExecutionMachine(phases, None)
+    states = run(machine, {1.05: order}, findings=lambda state: (WAIT,) if state.phase == 0 else (), limit_s=3.0)
+    assert 1.0 < max(state.time_s for state in states) < 1.3
+    rates = np.array([state.rate for state in states])
+    assert np.abs(np.diff(rates)).max() <= machine.settings.speed / machine.settings.ramp_s * PERIOD + 1e-9
+    assert {0, 1} == {state.phase for state in states}
 
 
 @pytest.mark.parametrize("at", [0.5, 1.4, 2.5])

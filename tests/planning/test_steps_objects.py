@@ -12,7 +12,7 @@ import pytest
 from shared_plans import write_undrawn
 
 from benchmarks.attack.gantry_files import write_gantry
-from benchmarks.attack.step_requests import DEPTH, INTO, TOP, peg_request
+from benchmarks.attack.step_requests import DEPTH, FROM, INTO, TOP, peg_request
 from service.demands.regions import SMALLEST_TURN
 from service.demands.steps.compile import LEVEL_DEG
 from service.demands.steps.extent import NamedStep
@@ -179,3 +179,40 @@ def test_a_grasp_that_the_gripper_cannot_make_is_impossible(urdf: Path) -> None:
     result = plan(parse_request(request))
     assert result.verdict.value == "INFEASIBLE"
     assert "step 'take': peg is 120 mm wide; the right gripper opens to 88 mm" in result.explanation
+
+
+def _stack_request(urdf: Path, *names: str) -> dict[str, Any]:
+    """Return a request that takes blocks of a stack in an order, and puts each on what was put before."""
+    request = peg_request(urdf)
+    table = next(piece for piece in request["scene"]["obstacles"] if piece["name"] == "table")
+    size = {"type": "box", "size": [0.04, 0.04, 0.06], "mass_kg": 0.3}
+    request["scene"] = {
+        **request["scene"],
+        "obstacles": [table],
+        "objects": [
+            {"name": name, **size, "position": [*FROM, TOP + 0.03 + 0.06 * k]}
+            for k, name in enumerate(("lower", "upper"))
+        ],
+    }
+    request["task"] = {"steps": []}
+    for k, name in enumerate(names):
+        height = TOP + 0.03 + 0.06 * k
+        request["task"]["steps"] += [
+            {"grasp": {"object": name}},
+            {"move": {"frame": name, "by": {"translation": [0, 0, 0.05]}, "along": "line"}},
+            {"move": {"poses": [{"link": name, "position": [*INTO, height + 0.05]}]}},
+            {"move": {"poses": [{"link": name, "position": [*INTO, height]}], "along": "line"}},
+            {"release": {"object": name}},
+        ]
+    return request
+
+
+def test_a_stack_is_taken_apart_from_above_and_built_again(urdf: Path) -> None:
+    result = plan(parse_request(_stack_request(urdf, "upper", "lower")))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    assert result.certificate is not None
+    last = next(check for check in result.certificate.checks if check.name == "rests.10 release: leave.lower")
+    assert "lower rests on upper" in last.text
+    under = plan(parse_request(_stack_request(urdf, "lower", "upper")))
+    assert under.verdict.value == "INFEASIBLE"
+    assert any("lower is under upper; that has to be taken away first" in line for line in under.explanation)

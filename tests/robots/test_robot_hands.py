@@ -66,13 +66,13 @@ def test_a_robot_by_path_does_every_task_with_the_hands_that_it_names(
 
 
 def test_without_named_hands_the_same_robot_has_none(robot: dict[str, Any]) -> None:
-    with pytest.raises(RequestError, match=r"has no auto hand .*robot\.hands"):
+    with pytest.raises(RequestError, match=r"has no hand with a rod, .*robot\.hands"):
         plan(parse_request({**drawer_request(), "robot": {**robot, "hands": {}}}))
 
 
 def test_a_hand_without_a_peg_opens_no_drawer(robot: dict[str, Any]) -> None:
     hook_only = {"right": {key: OURS["right"][key] for key in ("link", "hook", "tool")}}
-    with pytest.raises(RequestError, match="has no auto hand"):
+    with pytest.raises(RequestError, match="has no hand with a rod"):
         plan(parse_request({**drawer_request(), "robot": {**robot, "hands": hook_only}}))
 
 

@@ -25,12 +25,14 @@ from service.verify import (
     Motion,
     Phase,
     VerifyError,
-    measure_rest_margin,
+    measure_rests,
     place_frames,
     split_motion,
     verify,
 )
 from service.verify.carrying.grasp import GripBalance, Pad
+from service.verify.carrying.resting import measure_rest_margin
+from service.verify.carrying.stacks import RestingObject
 
 FRICTION, GRIP_N = 0.4, 50.0
 GRIP = Grip(("left", "right"), GRIP_N, FRICTION)
@@ -210,3 +212,61 @@ def test_an_object_has_a_name_of_its_own(tmp_path: Path, moved: Motion) -> None:
     (item,) = moved.objects
     with pytest.raises(RobotError, match="object 'hand': the name is in use by gantry"):
         with_objects(robot, [PlacedObject(replace(item, name="hand"), None, item.start)])
+
+
+def test_walls_about_a_peg_do_not_hold_it_up_by_squeezing_it() -> None:
+    play, peg = 0.002, lift(box(np.array([0.04, 0.04, 0.14])), 0.0, 0.08)
+    body, centre = LinkBody("peg", "peg", 0, peg, peg), np.array([0.0, 0.0, 0.08])
+    thick, long = np.array([0.04, 0.12, 0.06]), np.array([0.04, 0.04, 0.06])
+    off = 0.04 + 0.5 * play
+    walls = [ConvexPiece(f"wall {x}", lift(box(thick), x, 0.04)) for x in (off, -off)]
+    walls += [ConvexPiece(f"wall {y}", box(long) + np.array([0.0, y, 0.04])) for y in (off, -off)]
+    margin, names = measure_rest_margin(body, centre, walls)
+    assert margin == -np.inf
+    assert len(names) == 4
+    bottom = ConvexPiece("bottom", lift(box(np.array([0.2, 0.2, 0.02])), 0.0, 0.0))
+    assert measure_rest_margin(body, centre, [*walls, bottom])[0] > 0.0
+
+
+offsets = st.lists(st.floats(-0.03, 0.03), min_size=2, max_size=3)
+
+
+@settings(deadline=None, max_examples=30)
+@given(offsets, st.floats(0.2, 5.0))
+def test_each_cube_of_a_tower_holds_those_above_it(offs: list[float], mass: float) -> None:
+    """The weight of a cube and of all above it acts at their common centre, inside what the cube stands on."""
+    floor = ConvexPiece("floor", lift(box(np.array([1.0, 1.0, 0.1])), 0.0, -0.05))
+    at, masses = np.cumsum([0.0, *offs]), [1.0, mass, 1.0, 1.0][: len(offs) + 1]
+    tower = []
+    for k, x in enumerate(at):
+        vertices, centre = lift(box(np.array([0.1, 0.1, 0.1])), x, 0.05 + 0.1 * k), np.array([x, 0.0, 0.05 + 0.1 * k])
+        tower.append(RestingObject(LinkBody(f"cube {k}", "", 0, vertices, vertices), masses[k], centre))
+    rests = measure_rests(tower[::-1], [floor])
+    for k in range(len(at)):
+        common = np.average(at[k:], weights=masses[k:])
+        low, high = at[k] - 0.05, at[k] + 0.05
+        if k:
+            low, high = max(low, at[k - 1] - 0.05), min(high, at[k - 1] + 0.05)
+        wanted = min(common - low, high - common)
+        margin = rests[f"cube {k}"].margin
+        assert rests[f"cube {k}"].names == (f"cube {k - 1}" if k else "floor",)
+        assert margin == pytest.approx(wanted, abs=1e-6) if wanted > 0.0 else margin <= 1e-6
+
+
+def test_a_plank_on_two_posts_may_bear_on_either_alone() -> None:
+    """Nobody knows how two posts share a weight: each has to stand with all of it at its worst place."""
+    floor = ConvexPiece("floor", lift(box(np.array([1.0, 1.0, 0.1])), 0.0, -0.05))
+
+    def rest_of_posts(width: float) -> float:
+        posts = []
+        for k, x in enumerate((-0.2, 0.2)):
+            vertices = lift(box(np.array([width, width, 0.2])), x, 0.1)
+            posts.append(RestingObject(LinkBody(f"post {k}", "", 0, vertices, vertices), 1.0, np.array([x, 0.0, 0.1])))
+        vertices = lift(box(np.array([0.36, 0.1, 0.02])), 0.0, 0.21)
+        plank = RestingObject(LinkBody("plank", "", 0, vertices, vertices), 8.0, np.array([0.0, 0.0, 0.21]))
+        rests = measure_rests([plank, *posts], [floor])
+        assert rests["plank"].margin > 0.03
+        assert set(rests["plank"].names) == {"post 0", "post 1"}
+        return min(rests["post 0"].margin, rests["post 1"].margin)
+
+    assert rest_of_posts(0.1) == pytest.approx(0.05 * (1.0 - 8.0 / 9.0), abs=1e-6)  # the weight at a corner of its top

@@ -5,49 +5,46 @@ The planner makes each phase at the configuration that it has reached, the verif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from costs.allowance import Allowance, BodyRef
 from costs.guide import Guide
 from costs.robot import BASE_NAMES, RobotModel
 from costs.rotation import quaternion_matrix, turn_towards
-from costs.work_space import borrow_data
 from service.demands.grasping.gripper import Gripper
-from service.demands.hands import list_robot_hands
 from service.demands.regions import find_axis
+from service.demands.steps.blends import SHARPEST_RAD, find_turn, round_corner, shorten_line
 from service.demands.steps.extent import NamedStep
-from service.demands.steps.faces import UP, find_middle, lean_tool, list_places, point_along
+from service.demands.steps.follow import list_follow
+from service.demands.steps.frames import (
+    Company,
+    allow,
+    check_frame,
+    find_frames,
+    keep_others,
+    list_carriers,
+    locate,
+    make_thrust,
+    map_tools,
+    read_free,
+    read_limits,
+)
 from service.demands.steps.holding import Holding
 from service.demands.steps.objects import Taking, list_grasp, list_release, make_fit
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
 from service.demands.targets import make_pose_goal
-from service.errors import RequestError, would_do
-from service.request.fields import HAND_FRICTION
+from service.errors import RequestError
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.request.tasks.steps import (
-    BodyStep,
-    FollowStep,
-    MoveStep,
-    ScrewStep,
-    ShiftRequest,
-    TouchStep,
-)
-from service.verify import HAND_DRIFT_M, WORLD, HandLoad
+from service.request.tasks.steps import BodyStep, MoveStep, ScrewStep, ShiftRequest, TouchStep
 
 UPRIGHT_GROUP = "upright"
-Company = tuple[frozenset[str], ...]
-"""Frames that move as one: objects and the hands that hold them."""
-
-STEEPEST_DEG = float(np.rad2deg(np.arctan(HAND_FRICTION[0])))  # lean of a tool that is pressed onto a face
-OFF_FACE_M = 1e-4  # tolerance of where a line to a face begins
+CORNER = "corner"
 LEVEL_DEG = 0.03  # of an object above the place where it is put: beyond it touches with an edge, which holds no weight
 
 
@@ -108,11 +105,14 @@ def _list_makers(
         raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     if step.move is not None:
         level = tuple(group for group in company if group & named.sets_down)
-        return (PhaseMaker(name, partial(_make_move, robot, company, level, step.move, name)),)
+        make = partial(_make_move, robot, company, level, step.move, name)
+        if not named.entered_m and named.leads_to is None:
+            return (PhaseMaker(name, make),)
+        return tuple(_list_blended(robot, make, named, step.move, named.leads_to))
     if step.screw is not None:
         return (PhaseMaker(name, partial(_make_screw, robot, company, step.screw, name)),)
     if step.follow is not None:
-        return tuple(_list_follow(robot, company, step.follow, name))
+        return tuple(list_follow(robot, company, step.follow, name))
     if step.touch is not None:
         return (PhaseMaker(name, partial(_make_touch, robot, company, step.touch, name)),)
     if step.body is not None:
@@ -124,83 +124,6 @@ def _list_makers(
     if step.fit is not None:
         return (PhaseMaker(name, partial(make_fit, holding, step.fit, name)),)
     return ()
-
-
-def find_frames(robot: RobotModel, hand: str | None, frame: str | None) -> tuple[str, ...]:
-    """Return the frames of a step's hand or hands, or its frame.
-
-    Raises:
-        RequestError: the robot has no such hand or frame.
-    """
-    if frame is not None:
-        _check_frame(robot, frame)
-        return (frame,)
-    tools = _map_tools(robot)
-    sides = ("left", "right") if hand == "both" else (str(hand),)
-    missing = [side for side in sides if side not in tools]
-    if missing:
-        raise RequestError(
-            f"robot '{robot.name}' has no {missing[0]} hand; name a frame of the robot, or give robot.hands"
-        )
-    return tuple(tools[side] for side in sides)
-
-
-def _check_frame(robot: RobotModel, frame: str) -> None:
-    if not robot.model.existFrame(frame):
-        known = [own.name for own in robot.model.frames if own.type == pin.FrameType.BODY]
-        raise RequestError(f"unknown frame '{frame}'; {robot.name} has {would_do(frame, known)}")
-
-
-def _map_tools(robot: RobotModel) -> Mapping[str, str]:
-    """Return the tool frames by side."""
-    return {hand.side: hand.tool for hand in list_robot_hands(robot) if robot.model.existFrame(hand.tool)}
-
-
-def locate(robot: RobotModel, q: Float[np.ndarray, "n"], frame: str) -> Float[np.ndarray, "4 4"]:
-    """Return pose_world_frame at a configuration."""
-    data = borrow_data(robot.model)
-    pin.framesForwardKinematics(robot.model, data, q)
-    return np.array(data.oMf[robot.model.getFrameId(frame)].homogeneous)
-
-
-def list_carriers(robot: RobotModel, frame: str) -> frozenset[str]:
-    """Return the joints that carry a frame, a floating base aside."""
-    joint = int(robot.model.frames[robot.model.getFrameId(frame)].parentJoint)
-    names = set()
-    while joint > 0:
-        own = robot.model.joints[joint]
-        names |= set(robot.joint_names[own.idx_v : own.idx_v + own.nv])
-        joint = int(robot.model.parents[joint])
-    return frozenset(names - set(BASE_NAMES))
-
-
-def _keep_others(
-    robot: RobotModel, company: Company, q: Float[np.ndarray, "n"], frames: tuple[str, ...], how: str
-) -> dict[str, tuple[object, ...]]:
-    """Return what the hands that do not move keep: poses or joints."""
-    frames = (*frames, *(name for group in company if group & set(frames) for name in group - set(frames)))
-    others = [tool for tool in _map_tools(robot).values() if tool not in frames]
-    if how == "free" or not others or not set(frames) & set(_map_tools(robot).values()):
-        return {}
-    if how == "keep":
-        return {"kept": tuple((frame, locate(robot, q, frame)) for frame in others)}
-    moving = frozenset().union(*(list_carriers(robot, frame) for frame in frames))
-    locked = set().union(*(list_carriers(robot, frame) for frame in others)) - moving
-    return {"locked": tuple(name for name in robot.joint_names if name in locked)}
-
-
-def _read_free(free_axis: str) -> dict[str, object]:
-    if free_axis == "all":
-        return {"turns_freely": True}
-    return {"free_axis": find_axis(free_axis)}
-
-
-def _read_limits(step: MoveStep | ScrewStep | TouchStep | FollowStep) -> dict[str, float | None]:
-    return {
-        "tolerance_m": step.tolerance_m,
-        "rotation_tolerance_rad": float(np.deg2rad(step.rotation_tolerance_deg)),
-        "speed_m_s": step.speed_m_s,
-    }
 
 
 def _shift_guide(pose: Float[np.ndarray, "4 4"], by: ShiftRequest) -> Guide:
@@ -218,7 +141,7 @@ def _make_move(
     frames = moving or tuple(pose.link for pose in move.poses)
     base = StepPhase(name, duration_s=move.duration_s)
     if moving:
-        base = replace(base, **_keep_others(robot, company, q, moving, move.other_hand))  # type: ignore[arg-type]
+        base = replace(base, **keep_others(robot, company, q, moving, move.other_hand))  # type: ignore[arg-type]
     if move.joints or move.posture is not None:
         goal = GoalRequest(joints=move.joints, posture=move.posture)
         if not move.along.startswith("joint"):
@@ -227,7 +150,7 @@ def _make_move(
         values = dict(move.joints) or _read_posture(robot, str(move.posture))
         return replace(base, straight=values, profile=profile)  # type: ignore[arg-type]
     for frame in frames:
-        _check_frame(robot, frame)
+        check_frame(robot, frame)
     poses = {frame: locate(robot, q, frame) for frame in frames}
     guides: dict[str, Guide] = {}
     if move.arc is not None:
@@ -240,7 +163,7 @@ def _make_move(
         guides = {frame: _shift_guide(pose, move.by) for frame, pose in poses.items()}
     if move.along == "free":
         if move.poses:
-            carried = {name for group in company for name in group} - set(_map_tools(robot).values())
+            carried = {name for group in company for name in group} - set(map_tools(robot).values())
             turned = (_keep_turn(pose, poses[pose.link]) if pose.link in carried else pose for pose in move.poses)
             return replace(base, goal=GoalRequest(poses=tuple(_bring_level(pose, level) for pose in turned)))
         ends = {frame: guide.poses(np.ones(1))[0] for frame, guide in guides.items()}
@@ -249,12 +172,59 @@ def _make_move(
             for frame, pose in ends.items()
         )
         return replace(base, goal=GoalRequest(poses=tuple(_bring_level(pose, level) for pose in goals)))
-    free, limits = _read_free(move.free_axis), _read_limits(move)
+    free, limits = read_free(move.free_axis), read_limits(move)
     if move.poses:
         led = [_lead_to_pose(pose, poses[pose.link], move) for pose in move.poses]
     else:
         led = [Led(frame, guide, **free, **limits) for frame, guide in guides.items()]  # type: ignore[arg-type]
     return replace(base, led=tuple(led))
+
+
+def _list_blended(
+    robot: RobotModel,
+    make: Callable[[Float[np.ndarray, "n"]], StepPhase],
+    named: NamedStep,
+    move: MoveStep,
+    leads_to: MoveStep | None,
+) -> Iterator[PhaseMaker]:
+    """Yield the phases of a line with rounded corners: the line between them, and the arc at its end."""
+    entered = named.entered_m if move.by is not None else 0.0  # a way to a pose counts from where the frame is
+
+    def line(q: Float[np.ndarray, "n"]) -> StepPhase:
+        made = make(q)
+        led = tuple(shorten_line(own, entered, move.blend_m) for own in made.led)
+        return replace(made, led=led, flows=leads_to is not None, is_entered=named.entered_m > 0.0)
+
+    yield PhaseMaker(named.name, line)
+    if leads_to is None:
+        return
+    name = f"{named.name}: {CORNER}"
+
+    def corner(q: Float[np.ndarray, "n"]) -> StepPhase:
+        made, led = make(q), []
+        for own in made.led:
+            guide, before = own.guide, own.guide.shift / np.linalg.norm(own.guide.shift)
+            after = _find_way(leads_to, own.frame, guide.position + move.blend_m * before, guide.rotation)
+            arc = round_corner(guide.position, guide.rotation, before, after, move.blend_m)
+            if arc is None:
+                raise RequestError(
+                    f"move.blend_m: the way turns by {np.rad2deg(find_turn(before, after)):.0f} deg there; "
+                    f"expected at most {np.rad2deg(SHARPEST_RAD):.0f}, or no blend_m"
+                )
+            led.append(replace(own, guide=arc, is_corner=True))
+        return replace(made, name=name, led=tuple(led), flows=True, is_entered=True)
+
+    yield PhaseMaker(name, corner)
+
+
+def _find_way(
+    move: MoveStep, frame: str, corner: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "3 3"]
+) -> Float[np.ndarray, "3"]:
+    """Return the straight way of a frame from a corner on [m]."""
+    if move.by is not None:
+        axes = rotation if move.by.axes == "hand" else np.eye(3)
+        return np.asarray(axes @ np.asarray(move.by.translation))
+    return np.asarray(next(pose.origin for pose in move.poses if pose.link == frame) - corner)
 
 
 def _bring_level(pose: PoseGoalRequest, level: Company) -> PoseGoalRequest:
@@ -287,7 +257,7 @@ def _lead_to_pose(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"], move: Mov
             wanted = turn_towards(wanted[None], at[None, :3, :3], axis)[0]
         turn = Rotation.from_matrix(wanted @ at[:3, :3].T).as_rotvec()
     guide = Guide.line(at[:3, 3], at[:3, :3], shift, turn)
-    return Led(pose.link, guide, **_read_free(free), **_read_limits(move))  # type: ignore[arg-type]
+    return Led(pose.link, guide, **read_free(free), **read_limits(move))  # type: ignore[arg-type]
 
 
 def _read_posture(robot: RobotModel, posture: str) -> dict[str, float]:
@@ -308,11 +278,11 @@ def _make_screw(
         centre = pose[:3, 3] if screw.centre is None else np.asarray(screw.centre, dtype=float)
         angle = float(np.deg2rad(screw.rotation_deg))
         guide = Guide.screw(pose[:3, 3], pose[:3, :3], centre, axis, angle, screw.translation_m)
-        limits = _read_limits(screw)
+        limits = read_limits(screw)
         if screw.rate_deg_s is not None and guide.has_length:
             limits["speed_m_s"] = guide.length * screw.rate_deg_s / abs(screw.rotation_deg)
-        led.append(Led(frame, guide, **_read_free(screw.free_axis), **limits))  # type: ignore[arg-type]
-    keeping = _keep_others(robot, company, q, frames, screw.other_hand)
+        led.append(Led(frame, guide, **read_free(screw.free_axis), **limits))  # type: ignore[arg-type]
+    keeping = keep_others(robot, company, q, frames, screw.other_hand)
     duration = screw.duration_s
     if screw.rate_deg_s is not None and not any(own.guide.has_length for own in led):
         duration = abs(screw.rotation_deg) / screw.rate_deg_s
@@ -328,31 +298,12 @@ def _make_touch(
     way = way / np.linalg.norm(way)
     way = pose[:3, :3] @ way if touch.axes == "hand" else way
     guide = Guide.line(pose[:3, 3], pose[:3, :3], touch.window_m[1] * way)
-    led = Led(frame, guide, **_read_free(touch.free_axis), **_read_limits(touch))  # type: ignore[arg-type]
+    led = Led(frame, guide, **read_free(touch.free_axis), **read_limits(touch))  # type: ignore[arg-type]
     depth = touch.window_m[1] - touch.window_m[0]
-    touches = _allow(robot, frame, touch.pieces, depth)
-    loads = (_make_thrust(frame, guide, touch.force_n * way),)
-    keeping = _keep_others(robot, company, q, (frame,), touch.other_hand)
+    touches = allow(robot, frame, touch.pieces, depth)
+    loads = (make_thrust(frame, guide, touch.force_n * way),)
+    keeping = keep_others(robot, company, q, (frame,), touch.other_hand)
     return StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
-
-
-def _allow(robot: RobotModel, frame: str, pieces: tuple[str, ...], depth: float) -> tuple[Allowance, ...]:
-    """Return the allowances of the link that carries a frame with pieces [m]."""
-    link = find_carrying_link(robot, frame)
-    return tuple(Allowance(BodyRef.of_link(link), BodyRef.of_piece(piece), depth) for piece in pieces)
-
-
-def find_carrying_link(robot: RobotModel, frame: str) -> str:
-    """Return the link with a shape that carries a frame: the frame itself if it is one, else the nearest to it."""
-    links = {body.link for body in robot.bodies}
-    if frame in links:
-        return frame
-    placed = robot.model.frames[robot.model.getFrameId(frame)]
-    own = [body for body in robot.bodies if body.joint == placed.parentJoint]
-    if not own:
-        raise RequestError(f"no link with a shape carries the frame '{frame}'; name a frame of a tool")
-    at = placed.placement.translation
-    return min(own, key=lambda body: float(np.linalg.norm(body.vertices - at, axis=1).min())).link
 
 
 def _make_body(robot: RobotModel, body: BodyStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
@@ -371,7 +322,7 @@ def _make_body(robot: RobotModel, body: BodyStep, name: str, q: Float[np.ndarray
         led.append(Led(torsos[-1], guide, moves_freely=True))
     elif any(body.torso_rpy_deg):
         raise RequestError(f"body.torso_rpy_deg: {robot.name} names no torso in its group '{UPRIGHT_GROUP}'")
-    tools = tuple(_map_tools(robot).values())
+    tools = tuple(map_tools(robot).values())
     if body.hands == "stay":
         kept = tuple((tool, locate(robot, q, tool)) for tool in tools)
         return StepPhase(name, tuple(led), kept=kept, duration_s=body.duration_s)
@@ -379,87 +330,3 @@ def _make_body(robot: RobotModel, body: BodyStep, name: str, q: Float[np.ndarray
     arms = set().union(*(list_carriers(robot, tool) for tool in tools)) - trunk if tools else set()
     locked = tuple(joint for joint in robot.joint_names if joint in arms)
     return StepPhase(name, tuple(led), locked=locked, duration_s=body.duration_s)
-
-
-def _list_follow(robot: RobotModel, company: Company, step: FollowStep, name: str) -> Iterator[PhaseMaker]:
-    """Yield the phases of a path on a face: reach, approach, the path, retreat."""
-    (frame,) = find_frames(robot, step.hand, step.frame)
-    normal = np.asarray(step.face.normal, dtype=float)
-    normal = normal / np.linalg.norm(normal)
-    axis = lean_tool(-normal, step)
-    places = list_places(step, normal)
-    off = -step.approach_m * axis
-
-    def begin(q: Float[np.ndarray, "n"]) -> StepPhase:
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = point_along(axis), places[0] + off
-        goal = make_pose_goal(frame, pose, OFF_FACE_M, 0.1, "z")
-        kept = _keep_others(robot, company, q, (frame,), step.other_hand)
-        return StepPhase(f"{name}: reach", goal=GoalRequest(poses=(goal,)), **kept)  # type: ignore[arg-type]
-
-    yield PhaseMaker(f"{name}: reach", begin)
-    ways: list[tuple[str, Float[np.ndarray, "3"], Callable[[Float[np.ndarray, "3 3"]], Guide], bool]] = [
-        ("approach", places[0] + off, lambda R: Guide.line(places[0] + off, R, -off), False)
-    ]
-    if step.circle is not None:
-        middle, angle = find_middle(step, normal), float(np.deg2rad(step.circle.angle_deg))
-        sense = -1.0 if step.circle.sense == "clockwise" else 1.0
-        ways.append(
-            ("path", places[0], lambda R: Guide.screw(places[0], R, middle, normal, sense * angle, turns=False), True)
-        )
-    else:
-        for number, (first, last) in enumerate(pairwise(places), start=1):
-            part = "path" if len(places) == 2 else f"path {number}"
-            ways.append((part, first, lambda R, first=first, last=last: Guide.line(first, R, last - first), True))  # type: ignore[misc]
-    end = places[-1] if step.circle is None else ways[-1][2](np.eye(3)).positions(np.ones(1))[0]
-    ways.append(("retreat", end, lambda R: Guide.line(end, R, off), False))
-    touches = _allow(robot, frame, step.face.pieces, max(step.depth_m, 0.0) + step.touch_depth_m)
-    if step.thrust_n and step.tilt_deg > STEEPEST_DEG:
-        raise RequestError(
-            f"follow.tilt_deg: {step.tilt_deg:g} deg with a thrust_n: the tool would slide off; expected at most "
-            f"{STEEPEST_DEG:.1f} deg, the angle of friction of {HAND_FRICTION[0]:g}, or no thrust"
-        )
-    for part, _, guide, is_path in ways:
-        yield PhaseMaker(
-            f"{name}: {part}",
-            lambda q, part=part, guide=guide, is_path=is_path: _make_part(  # type: ignore[misc]
-                robot, company, step, f"{name}: {part}", frame, axis, guide, is_path, touches, q
-            ),
-        )
-
-
-def _make_part(
-    robot: RobotModel,
-    company: Company,
-    step: FollowStep,
-    name: str,
-    frame: str,
-    axis: Float[np.ndarray, "3"],
-    guide: Callable[[Float[np.ndarray, "3 3"]], Guide],
-    is_path: bool,
-    touches: tuple[Allowance, ...],
-    q: Float[np.ndarray, "n"],
-) -> StepPhase:
-    """Return one line or arc of a path; the tool keeps the turn about its axis, or is free to turn."""
-    here = locate(robot, q, frame)[:3, :3]
-    rotation = turn_towards(point_along(axis)[None], here[None], UP)[0]
-    limits = {**_read_limits(step), **({} if is_path else {"speed_m_s": None})}
-    free = UP if step.turn == "free" else None
-    led = Led(frame, guide(rotation), free_axis=free, **limits)  # type: ignore[arg-type]
-    keeping = _keep_others(robot, company, q, (frame,), step.other_hand)
-    loads = (_make_thrust(frame, led.guide, step.thrust_n * axis),) if is_path and step.thrust_n else ()
-    return StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
-
-
-def _make_thrust(frame: str, guide: Guide, force: Float[np.ndarray, "3"]) -> HandLoad:
-    """Return the force of the tool on what it meets, anywhere on its way: about the middle of an arc, or along a line.
-
-    Args:
-        frame: of the tool.
-        guide: its way.
-        force: largest, in the world [N].
-    """
-    if guide.angle:
-        return HandLoad(frame, WORLD, guide.centre, force, None, guide.radius + HAND_DRIFT_M)
-    half = 0.5 * guide.shift
-    return HandLoad(frame, WORLD, guide.position + half, force, half, HAND_DRIFT_M)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from service.request.tasks.steps import ENDING, StepRequest, StepsSection
+from service.request.tasks.steps import ENDING, MoveStep, StepRequest, StepsSection
 
 GUARDED = ("touch",)  # steps that end where something is felt: the plan ends after them
 
@@ -19,6 +19,8 @@ class NamedStep:
         step: the step.
         lands: object that the next step releases.
         sets_down: objects that a later step releases, before which nothing may bring them out of level.
+        entered_m: from the corner with the line before to where this line begins, if that corner is rounded [m].
+        leads_to: line into which this one goes without a rest.
     """
 
     index: int
@@ -26,13 +28,19 @@ class NamedStep:
     step: StepRequest
     lands: str | None = None
     sets_down: frozenset[str] = frozenset()
+    entered_m: float = 0.0
+    leads_to: MoveStep | None = None
 
     @staticmethod
     def list_all(section: StepsSection) -> tuple[NamedStep, ...]:
         """Return all steps of a list."""
         named, lands, later = list[NamedStep](), None, frozenset[str]()
         for k, step in reversed(list(enumerate(section.steps))):
-            named.append(NamedStep(k, section.names[k], step, lands, later))
+            before = section.steps[k - 1].move if k else None
+            entered = 0.0 if before is None else before.blend_m
+            blends = step.move is not None and step.move.blend_m > 0.0 and k + 1 < len(section.steps)
+            leads_to = section.steps[k + 1].move if blends else None
+            named.append(NamedStep(k, section.names[k], step, lands, later, entered, leads_to))
             lands = None if step.release is None else step.release.object
             later = later if lands is None else later | {lands}
         return tuple(reversed(named))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
 from costs.robot.carried import MovableObject, PlacedObject, with_objects
-from costs.scene import Scene
+from costs.scene import ConvexPiece, Scene
 from service.demands.grasping.gripper import Gripper, list_grippers
 from service.demands.grasping.objects import find_object
 from service.demands.phase import TaskPhase
@@ -22,7 +22,7 @@ from service.request.schema import PlanRequest
 from service.request.tasks.step_objects import HoldStep
 from service.request.tasks.steps import StepsSection
 from service.start.resting import SUPPORT_DEPTH_M
-from service.verify import Carrier, Grip, RelativePoseTarget, measure_rest_margin, place_frames
+from service.verify import Carrier, Grip, RelativePoseTarget, measure_rests, place_frames, place_resting
 
 PAD_DEPTH_M = 3e-3  # of a finger in what it holds
 CHAIN_M, CHAIN_RAD = 1e-3, 5e-3  # by which the second hand may move against the first
@@ -100,7 +100,7 @@ class Holding:
         friction: least coefficient between hands and objects.
         resting: (4, 4) poses in the world of those that the world carries, by name.
         held: the others, by name.
-        fresh: pieces that the object touches which the step before has taken, by its name.
+        fresh: pieces and objects that the object touches which the step before has taken, by its name.
         stands: (n,) configuration at whose feet the robot stands; None for its start.
     """
 
@@ -200,18 +200,33 @@ class Holding:
         return replace(self, fresh={})
 
     def find_rest(self, name: str, pose: Float[np.ndarray, "4 4"]) -> tuple[float, tuple[str, ...]]:
-        """Return the margin with which an object rests at a pose in the world [m], and on which pieces."""
-        item = self.items[name].body
-        body = with_objects(self.robot, [PlacedObject(item, None, pose)]).bodies[-1]
-        centre = pose[:3, :3] @ item.inertia.centre + pose[:3, 3]
-        return measure_rest_margin(body, centre, self.scene.pieces)
+        """Return the margin with which an object rests at a pose in the world [m], and on which pieces and objects."""
+        places = {**self.resting, name: pose}
+        placed = [PlacedObject(self.items[own].body, None, at) for own, at in places.items()]
+        robot = with_objects(self.robot, placed)
+        rest = measure_rests([place_resting(robot, own.item) for own in placed], self.scene.pieces)[name]
+        return rest.margin, rest.names
+
+    def list_resting(self, apart_from: str) -> tuple[ConvexPiece, ...]:
+        """Return the objects that the world carries as pieces, but for one of them."""
+        names = (name for name in self.resting if name != apart_from)
+        return tuple(
+            ConvexPiece(name, self.items[name].body.vertices @ pose[:3, :3].T + pose[:3, 3])
+            for name, pose in ((name, self.resting[name]) for name in names)
+        )
 
     def list_touches(self) -> Iterator[Allowance]:
         """Yield what touches during the whole step: fingers and what they hold, and what it has rested on."""
         for name, hold in self.held.items():
             yield from list_pad_touches(name, hold.grippers)
         for name, pieces in self.fresh.items():
-            yield from list_rest_touches(name, pieces)
+            yield from self.list_rest_touches(name, pieces)
+
+    def list_rest_touches(self, name: str, others: tuple[str, ...]) -> Iterator[Allowance]:
+        """Yield the allowances of an object with the pieces and objects on which it rests."""
+        for other in others:
+            rest = BodyRef.of_link(other) if other in self.items else BodyRef.of_piece(other)
+            yield Allowance(BodyRef.of_link(name), rest, SUPPORT_DEPTH_M)
 
 
 def carry_along(phase: TaskPhase, holding: Holding) -> TaskPhase:
@@ -227,12 +242,6 @@ def list_pad_touches(name: str, grippers: tuple[Gripper, ...]) -> Iterator[Allow
     for gripper in grippers:
         for finger in gripper.fingers:
             yield Allowance(BodyRef.of_link(finger), BodyRef.of_link(name), PAD_DEPTH_M)
-
-
-def list_rest_touches(name: str, pieces: tuple[str, ...]) -> Iterator[Allowance]:
-    """Yield the allowances of an object with what it rests on."""
-    for piece in pieces:
-        yield Allowance(BodyRef.of_link(name), BodyRef.of_piece(piece), SUPPORT_DEPTH_M)
 
 
 def choose_grippers(robot: RobotModel, hand: str, field_name: str) -> tuple[Gripper, ...]:

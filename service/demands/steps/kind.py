@@ -14,6 +14,7 @@ from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.kind import read_given_physics
 from service.demands.plausible import list_mechanism_problems
 from service.demands.resistance import MechanismPhysics
+from service.demands.steps.blends import list_blend_problems
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent
 from service.demands.steps.faces import explain_beyond_edge
@@ -36,6 +37,7 @@ class StepsDemandPart(DemandPart[StepsSection]):
     def list_name_problems(self, section: StepsSection, request: PlanRequest, robot: RobotModel) -> Iterator[str]:
         """Yield a line per unknown hand, frame, joint or posture of a step."""
         yield from list_sequence_problems(section)
+        yield from list_blend_problems(section)
         try:
             start = Holding.of(section, request, robot, Scene(()))
         except RequestError as error:

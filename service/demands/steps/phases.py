@@ -13,7 +13,7 @@ from costs.guide import Guide
 from costs.robot import RobotModel
 from costs.rotation import pose_matrix
 from service.demands.phase import TaskPhase
-from service.demands.steps.holding import Holding, list_rest_touches
+from service.demands.steps.holding import Holding
 from service.demands.targets import make_goal_targets
 from service.request.tasks.reach import GoalRequest
 from service.verify import HandLoad, JointWayTarget, Profile, RelativePoseTarget, Target, WayTarget
@@ -36,6 +36,7 @@ class Led:
         moves_freely: whether its place does not count.
         tolerance_m, rotation_tolerance_rad: along the whole way.
         speed_m_s: of its origin between the ramps; None for any.
+        is_corner: whether the way rounds a corner, where the frame may be slower.
     """
 
     frame: str
@@ -46,6 +47,7 @@ class Led:
     tolerance_m: float = 1e-3
     rotation_tolerance_rad: float = KEPT_RAD
     speed_m_s: float | None = None
+    is_corner: bool = False
 
     @property
     def ramp_m(self) -> float:
@@ -70,7 +72,7 @@ class Led:
             np.inf if self.moves_freely else self.tolerance_m,
             np.inf if self.turns_freely else self.rotation_tolerance_rad,
             self.free_axis,
-            self.speed_m_s,
+            None if self.is_corner else self.speed_m_s,
             ramp_m=self.ramp_m,
         )
 
@@ -95,6 +97,8 @@ class StepPhase:
         is_chosen: whether goal, straight line and fingers are the planner's choice, which nobody demands.
         holding: the objects and who carries them, and where the robot stands.
         lands: objects that rest at the end.
+        flows: whether the next phase goes on without a rest.
+        is_entered: whether it goes on from the phase before without a rest.
     """
 
     name: str
@@ -112,6 +116,8 @@ class StepPhase:
     is_chosen: bool = False
     holding: Holding | None = None
     lands: tuple[str, ...] = ()
+    flows: bool = False
+    is_entered: bool = False
 
     def list_touches(
         self, robot: RobotModel, first: Float[np.ndarray, "n"], last: Float[np.ndarray, "n"] | None
@@ -122,7 +128,7 @@ class StepPhase:
         touches = [*self.touches, *self.holding.list_touches()]
         for name in self.lands:
             pose = self._find_end(robot, name, first) if last is None else self.holding.locate(name, last)
-            touches += list_rest_touches(name, self.holding.find_rest(name, pose)[1])
+            touches += self.holding.list_rest_touches(name, self.holding.find_rest(name, pose)[1])
         return tuple(dict.fromkeys(touches))
 
     def _find_end(self, robot: RobotModel, name: str, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
@@ -170,7 +176,14 @@ class StepPhase:
         stands = None if self.holding is None else self.holding.stands
         own = tuple(targets)
         return TaskPhase(
-            self.name, touches=touches, goal=goal, targets=own, loads=self.loads, carriers=carriers, stands=stands
+            self.name,
+            touches=touches,
+            goal=goal,
+            targets=own,
+            loads=self.loads,
+            carriers=carriers,
+            stands=stands,
+            flows=self.flows,
         )
 
 

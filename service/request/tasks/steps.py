@@ -46,6 +46,7 @@ Seconds = Annotated[Number, Field(gt=0.0, le=600.0)]
 Shift = Annotated[Number, Field(ge=-LONGEST_M, le=LONGEST_M)]
 ToleranceM = Annotated[Number, Field(ge=2e-4, le=0.1)]
 ToleranceDeg = Annotated[Number, Field(ge=0.05, le=30.0)]
+BlendM = Annotated[Number, Field(ge=0.0, le=0.2)]
 Force = Annotated[Number, Field(gt=0.0, le=1000.0)]
 ENDING = ("wait", "check", "look")
 """Steps at which a plan ends, and goes on from the state that is reached by then."""
@@ -127,6 +128,8 @@ class MoveStep(Section):
         speed_m_s: of the frame on its way, but for ramps at both ends.
         duration_s: of the step.
         tolerance_m, rotation_tolerance_deg: largest error along the whole way.
+        blend_m: from the corner with the next step's line, where the frame leaves this one on an arc and does not
+            rest; 0 to rest in the corner [m].
     """
 
     joints: Joints = field(default_factory=dict)
@@ -143,6 +146,7 @@ class MoveStep(Section):
     duration_s: Seconds | None = None
     tolerance_m: ToleranceM = 1e-3
     rotation_tolerance_deg: ToleranceDeg = 0.5
+    blend_m: BlendM = 0.0
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("joints", "posture", "poses", "by", "arc"))
@@ -160,6 +164,8 @@ class MoveStep(Section):
             raise PydanticCustomError("move", "speed_m_s goes with along: line or arc; expected a duration_s")
         if self.along != "free" and not all(pose.is_plain for pose in self.poses):
             raise PydanticCustomError("move", "region, relative_to and look_at go with along: free, not {along}")
+        if self.blend_m and (self.along != "line" or self.duration_s is not None):
+            raise PydanticCustomError("move", "blend_m goes with along: line and without duration_s")
         twice = find_repeated(pose.link for pose in self.poses)
         if twice:
             raise PydanticCustomError("move", "link {link} has two poses; expected one", {"link": shown(twice[0])})
@@ -258,7 +264,7 @@ class FollowStep(Section):
     Attributes:
         face: the face.
         circle: the path, or
-        polyline: its corners, moved along the normal onto the face; the tool rests at each of them [m].
+        polyline: its corners, moved along the normal onto the face; the tool rests at each that is not rounded [m].
         hand, frame: the tool.
         depth_m: of the tool's origin behind the face; negative in front of it [m].
         tilt_deg: by which the tool's axis leans off the inward normal, towards ``tilt_towards``.
@@ -269,6 +275,7 @@ class FollowStep(Section):
         thrust_n: largest force with which the tool may be pushed back along its axis [N].
         touch_depth_m: by which the link of the tool may be inside the face's pieces, beyond ``depth_m``.
         other_hand, tolerance_m, rotation_tolerance_deg: as in ``move``.
+        blend_m: from a corner, where the tool leaves the path on an arc, to go on without a rest; 0 to rest there [m].
     """
 
     face: FaceRequest
@@ -287,6 +294,7 @@ class FollowStep(Section):
     other_hand: OtherHand = "keep"
     tolerance_m: ToleranceM = 1e-3
     rotation_tolerance_deg: ToleranceDeg = 2.0
+    blend_m: BlendM = 0.0
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("circle", "polyline"))
@@ -296,6 +304,8 @@ class FollowStep(Section):
             raise PydanticCustomError("follow", "expected the hand (left or right) or the frame of the tool")
         if len(self.polyline) == 1:
             raise PydanticCustomError("follow", "polyline has one corner; expected at least two")
+        if self.blend_m and self.circle is not None:
+            raise PydanticCustomError("follow", "blend_m rounds the corners of a polyline; a circle has none")
 
 
 @dataclass(config=SECTION)

@@ -151,10 +151,11 @@ def choose_hands(body: WholeBody, given: GivenMechanism) -> tuple[Hand, ...]:
     at = pose[:3, :3] @ given.handle.place + pose[:3, 3]
     hands = list_hands(body, given.request.hand, at, ("tool", "peg", "stub"))
     if not hands:
-        frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
+        side = {"auto": ""}.get(given.request.hand, f"{given.request.hand} ")
         raise RequestError(
-            f"task.mechanism.hand: robot '{body.robot.name}' has no {given.request.hand} hand ({frames}); "
-            "robot.hands names those of another robot"
+            f"task.mechanism.hand: robot '{body.robot.name}' has no {side}hand with a rod, by which parts are pushed "
+            "(frames tool, peg and stub); robot.hand: hook gives the bundled robot such hands, robot.hands names those "
+            "of another robot"
         )
     return hands
 

@@ -33,7 +33,7 @@ from service.tasks.steps.choices import Pick, find_blocked, list_choices, rank_c
 from service.tasks.steps.pushed import plan_part
 from service.tasks.steps.refusals import describe_weight, find_obstacle
 from service.tasks.steps.solve import StepSolver, Tried
-from service.tasks.steps.weights import place_objects
+from service.tasks.steps.weights import limit_own_torques, place_objects
 
 MOST_CHOICES = 6  # grasps that are planned
 NEAR_M = 0.06  # of a piece from an object, to count as beside it
@@ -57,21 +57,26 @@ def plan_steps(section: StepsSection, setup: PlanSetup, plain: PhaseSolver) -> I
     collisions = () if mechanism is None else tuple(find_collisions(solver.body, remedy=FARTHER))
     if collisions:
         raise RequestError(collisions)
-    walk = _Walk(plain, solver, setup, demand, extent.done)
-    done = walk.run(0, _State(solver.body.nominal, solver.body.nominal[plain.body.robot.n :], start))
-    plan = TaskPlan(
-        solver.body,
-        tuple(done.phases),
-        notes=(*notes, *done.notes),
-        measure=demand.measure,
-        objects=demand.objects,
-    )
+    for own in (solver, limit_own_torques(solver)):  # the second where the first asks too much of an arm
+        if own is None:
+            return
+        walk = _Walk(plain, own, setup, demand, extent.done)
+        done = walk.run(0, _State(solver.body.nominal, solver.body.nominal[plain.body.robot.n :], start))
+        yield _make_plan(solver.body, demand, extent, done)
+        if done.tried is not None:
+            return
+
+
+def _make_plan(body: WholeBody, demand: StepsDemand, extent: Extent, done: _Done) -> TaskPlan:
+    """Return the phases of steps as a plan, with the reason why it ends before the last one."""
+    notes = (*extent.list_notes(), *done.notes)
+    plan = TaskPlan(body, tuple(done.phases), notes=notes, measure=demand.measure, objects=demand.objects)
     if done.tried is not None:
         tried, named = done.tried, extent.done[done.failed]
         stuck = None if tried.solved is None else Stuck(tried.name, tried.solved, done.order)
         obstacle = tuple(f"step '{named.name}': {reason}" for reason in tried.reasons)
         plan = replace(plan, obstacle=obstacle, stuck=stuck, is_impossible=tried.is_impossible)
-    yield plan
+    return plan
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,6 +46,9 @@ def find_obstacle(
         margin, names = holding.find_rest(item.name, pose)
         if margin >= REST_MARGIN_M:
             continue
+        met = _find_inside(body, holding, item.name, pose)
+        if met is not None and met[1] > INSIDE_M:
+            return f"{item.name} does not rest {where}: it would be {1e3 * met[1]:.0f} mm inside {met[0]}"
         if not names:
             return f"{item.name} does not rest {where}: nothing is within 3 mm below it"
         return f"{item.name} does not rest {where}: {' and '.join(names)} would let it tip or slide"
@@ -105,12 +108,13 @@ def _find_on_top(body: WholeBody, holding: Holding, pick: Pick) -> str:
 def _find_inside(
     body: WholeBody, holding: Holding, name: str, pose: Float[np.ndarray, "4 4"]
 ) -> tuple[str, float] | None:
-    """Return the piece in which an object would be deepest where it is put, and how deep [m]; None where in none."""
+    """Return in what an object would be deepest where it is put, and how deep [m]; None where in nothing."""
     placed = with_objects(holding.robot, [PlacedObject(holding.items[name].body, None, pose)])
     own = CoalSolid.of_body(placed.bodies[-1])
     below = holding.find_rest(name, pose)[1]
     query, worst = DistanceQuery(), None
-    for piece in body.scene.pieces:
+    others = holding.list_resting(name)
+    for piece in (*body.scene.pieces, *others):
         if np.any(piece.lower > own.vertices.max(axis=0)) or np.any(piece.upper < own.vertices.min(axis=0)):
             continue
         solid = CoalSolid.of_piece(piece)

@@ -165,10 +165,7 @@ class StepSolver:
         end = at.copy()
         end[[robot.joint_names.index(name) for name in made.straight]] = list(made.straight.values())
         path = straight_path(at, end, STRAIGHT_WAYPOINTS)
-        fixed = dict(enumerate(path))
-        quiet = stage.solver.with_effort(Effort.NONE)
-        solved = quiet.solve_trajectory(made.name, path, fixed, allowances=stage.touches)
-        phases, tried = stage.finish(replace(solved, result=replace(solved.result, x=path)), None)
+        phases, tried = stage.finish(stage.check_path(path), None)
         if tried is not None:
             reasons = ("the straight line breaks there; along: free looks for a way around it",)
             return phases, replace(tried, reasons=reasons)
@@ -190,18 +187,20 @@ class StepSolver:
     def solve_led(self, made: StepPhase, at: Float[np.ndarray, "n"]) -> tuple[list[PlannedPhase], Tried | None]:
         """Return a phase whose frames are on their ways between the waypoints, too."""
         stage = _Stage.of(self.solver, self.robot, made, at)
-        count = count_waypoints(made.led)
+        count = count_waypoints(made.led, flows=made.flows or made.is_entered)
         _, path = next(stage.list_led_paths(made, at, count))
+        solve = partial(_solve_led, stage, made)
         if stage.measure_miss(path) > FAR_OFF:  # no obstacle or balance is to blame, and no optimiser helps
             reasons = tuple(explain_break(stage.body, made.led, path))
             followed = max(stage.count_followed(path), 2)
             return [stage.plan(path[:followed], is_feasible=False)], Tried(made.name, reasons)
         paths = {Way.GIVEN: lambda: stage.list_led_paths(made, at, count)}
-        solve = partial(_solve_led, stage, made)
         search = MotionSearch(
             made.name, stage.solver, solve, at, NoEnd(), DIRECT, paths, restorable=RESTORABLE, is_sampled=False
         )
         solved = find_motion(search)
+        if made.flows or made.is_entered:
+            solved = stage.find_most_even(solved)
         phases, tried = stage.finish(solved, partial(solve, stage.solver))
         if tried is None:
             return phases, None
@@ -294,6 +293,26 @@ class _Stage:
             values, n = self.at[columns], robot.n
             holds.append(lambda waypoints: JointTarget(len(waypoints), n, waypoints, columns, values))
         return tuple(holds)
+
+    def check_path(self, path: Path) -> Solved:
+        """Return a path as it is, with what the constraints say of it."""
+        quiet, fixed = self.solver.with_effort(Effort.NONE), dict(enumerate(path))
+        regions = self.find_regions(len(path))
+        solved = quiet.solve_trajectory(self.made.name, path, fixed, allowances=self.touches, regions=regions)
+        return replace(solved, result=replace(solved.result, x=path))
+
+    def find_most_even(self, solved: Solved) -> Solved:
+        """Return the motion whose joints move most evenly: as solved, or as led alone.
+
+        Where a path goes on without a rest, a joint that hurries between two waypoints slows the hand.
+        """
+        led = (self.check_path(path) for _, path in self.list_led_paths(self.made, self.at, len(solved.x)))
+        motions = [own for own in (solved, *led) if own.is_feasible]
+        return min(motions, key=self._measure_unevenness, default=solved)
+
+    def _measure_unevenness(self, solved: Solved) -> float:
+        """Return by how much the step of a joint differs from that before, in time at its largest speed [s]."""
+        return float((np.abs(np.diff(solved.x, 2, axis=0)) / self.body.robot.velocity).max())
 
     def find_regions(self, count: int) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot while the world pushes its hands, on ``count`` waypoints."""

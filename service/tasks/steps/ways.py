@@ -16,14 +16,17 @@ from service.body.whole_body import WholeBody
 from service.demands.steps.phases import Led
 
 WAY_STEP_M, WAY_STEP_RAD = 0.04, float(np.deg2rad(12.0))  # of a frame between two waypoints
+FLOW_STEP_M = 0.015  # between two waypoints of a path that goes round corners without a rest
 LEAST_WAYPOINTS, MOST_WAYPOINTS = 6, 60
 FOLLOWED = 1e-3  # largest residual of a waypoint that follows its way
 AT_LIMIT, LARGEST_JUMP = 0.02, 0.8  # of a joint at its limit, and of one between two waypoints [rad, m]
 
 
-def count_waypoints(led: Sequence[Led]) -> int:
-    """Return the number of waypoints of ways."""
+def count_waypoints(led: Sequence[Led], *, flows: bool = False) -> int:
+    """Return the number of waypoints of ways; those of a path without rests are as far apart as on its other parts."""
     length = max((own.guide.length for own in led), default=0.0)
+    if flows:
+        return int(np.clip(np.ceil(length / FLOW_STEP_M) + 1, 3, MOST_WAYPOINTS))
     turn = max((max(own.guide.turned, abs(own.guide.angle)) for own in led), default=0.0)
     steps = max(length / WAY_STEP_M, turn / WAY_STEP_RAD)
     return int(np.clip(np.ceil(steps) + 1, LEAST_WAYPOINTS, MOST_WAYPOINTS))

@@ -16,6 +16,7 @@ from costs.terms import HeldTorque
 from scopt import Constraint, Cost
 from service.body.phases import PhaseSolver
 from service.demands.grasping.gripper import list_grippers
+from service.demands.hands import list_robot_hands
 from service.demands.steps.holding import Hold, Holding
 from service.verify import GRAVITY, place_frames
 
@@ -43,6 +44,48 @@ def place_objects(
     for name, hold in holding.held.items():
         own = _limit_torques(own, holding, name, hold)
     return own
+
+
+def limit_own_torques(solver: PhaseSolver) -> PhaseSolver | None:
+    """Return the solver that limits the torques at rest of empty arms; None where each holds itself in any pose."""
+    weak = list_weak_arms(solver.body.robot)
+    if not weak:
+        return None
+    others = solver.terms
+
+    def add(phase: str, robot: RobotModel, count: int) -> Sequence[Cost[MotionState] | Constraint[MotionState]]:
+        limits = (HeldTorque(robot, tool, np.arange(count), np.zeros((count, 3)), TORQUE_SHARE) for tool in weak)
+        own = (Constraint(f"torque of {tool}", limit, tolerance=TORQUE_TOLERANCE, unit="1")
+               for tool, limit in zip(weak, limits, strict=True) if len(limit.limited))  # fmt: skip
+        return (*others(phase, robot, count), *own)
+
+    return replace(solver, terms=add)
+
+
+def list_weak_arms(robot: RobotModel) -> tuple[str, ...]:
+    """Return the tools of hands whose arms may need more than their torques to hold themselves."""
+    tools = (hand.tool for hand in list_robot_hands(robot) if robot.model.existFrame(hand.tool))
+    return tuple(tool for tool in tools if bound_own_share(robot, tool) > TORQUE_SHARE)
+
+
+def bound_own_share(robot: RobotModel, tool: str) -> float:
+    """Return a bound of the share of its torque that any joint before a tool needs for what is beyond it."""
+    model = robot.model
+    share, joint = 0.0, int(model.frames[model.getFrameId(tool)].parentJoint)
+    moments = np.zeros(model.njoints)  # of all beyond a joint about it, stretched out [kg m]
+    masses = np.array([inertia.mass for inertia in model.inertias])
+    for own in range(model.njoints - 1, 0, -1):
+        moments[own] += model.inertias[own].mass * float(np.linalg.norm(model.inertias[own].lever))
+        before = int(model.parents[own])
+        moments[before] += moments[own] + masses[own] * float(np.linalg.norm(model.jointPlacements[own].translation))
+        masses[before] += masses[own]
+    while joint > 0:
+        made = model.joints[joint]
+        effort = robot.effort[made.idx_v]
+        if made.nv == 1 and np.isfinite(effort) and effort > 0.0:
+            share = max(share, GRAVITY * float(moments[joint]) / float(effort))
+        joint = int(model.parents[joint])
+    return share
 
 
 def _list_margins(

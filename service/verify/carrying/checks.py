@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from costs.robot import RobotModel
 from costs.robot.carried import MovableObject
 from service.verify.carrying.carriers import Carrier
 from service.verify.carrying.grasp import GRAVITY, GripBalance, Held
-from service.verify.carrying.resting import measure_rest_margin
+from service.verify.carrying.stacks import Rest, RestingObject, measure_rests
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.dynamics import list_sample_times
 from service.verify.motion import Motion, Phase, VerifySettings
@@ -46,21 +47,27 @@ def check_carriers(prepared: PreparedMotion, phase: Phase, settings: VerifySetti
     """
     items = {item.name: item for item in prepared.motion.objects}
     placed = prepared.in_phase(phase)
+    resting = [items[carrier.item] for carrier in phase.carriers if carrier.link is None]
+    rests = measure_rests([place_resting(placed.motion.robot, item) for item in resting], placed.motion.scene.pieces)
     for carrier in phase.carriers:
         item = items[carrier.item]
         if carrier.link is None:
-            yield _check_rest(placed, phase, item)
+            yield _check_rest(placed, phase, item, rests[item.name])
         else:
             yield from _check_grips(placed, phase, item, carrier, settings)
 
 
-def _check_rest(prepared: PreparedMotion, phase: Phase, item: MovableObject) -> Check:
-    motion = prepared.motion
-    body = next(body for body in motion.robot.bodies if body.name == item.name)
-    frame = motion.robot.model.frames[motion.robot.model.getFrameId(item.name)]
-    centre = np.asarray(frame.placement.act(item.inertia.centre))
-    margin, names = measure_rest_margin(body, centre, motion.scene.pieces)
-    margin = max(margin, -1.0)
+def place_resting(robot: RobotModel, item: MovableObject) -> RestingObject:
+    """Return an object that the world carries, as a robot with it has it."""
+    body = next(body for body in robot.bodies if body.name == item.name)
+    frame = robot.model.frames[robot.model.getFrameId(item.name)]
+    return RestingObject(body, item.inertia.mass, np.asarray(frame.placement.act(item.inertia.centre)))
+
+
+def _check_rest(prepared: PreparedMotion, phase: Phase, item: MovableObject, rest: Rest) -> Check:
+    motion, names = prepared.motion, rest.names
+    centre = place_resting(motion.robot, item).centre
+    margin = max(rest.margin, -1.0)
     where = Where(phase.first, find_time(motion.law, phase.first), _point(centre), (item.name, *names))
     text = f"{item.name} rests on {' and '.join(names)} during {phase.name}, {1e3 * margin:.0f} mm inside what holds it"
     if margin < REST_MARGIN_M:

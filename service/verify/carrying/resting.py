@@ -16,6 +16,7 @@ from service.verify.solids import make_coal_convex
 
 REST_GAP_M = 3e-3  # between an object and what carries it, either way
 REST_FRICTION = 0.3
+STEEPEST = 0.5  # least upward part of the normal of a contact that holds by friction, too: walls do not squeeze
 SIDES = 8
 DIRECTIONS = 8  # in which the centre of mass may be off
 FARTHEST_M = 1.0  # that it may be off: what is held from above as well could be anywhere
@@ -35,25 +36,44 @@ def measure_rest_margin(
         The margin, negative infinity where nothing holds the object [m]; names of the pieces within ``REST_GAP_M``.
     """
     points, normals, names = [], [], []
-    low, high = body.vertices.min(axis=0) - REST_GAP_M, body.vertices.max(axis=0) + REST_GAP_M
     for piece in pieces:
-        if np.any(piece.lower > high) or np.any(piece.upper < low):
-            continue
-        spots, normal = _touch(body, piece)
+        spots, normal = find_rest_contact(body, piece)
         if len(spots):
             points.append(spots)
             normals.append(np.tile(normal, (len(spots), 1)))
             names.append(piece.name)
     if not points:
         return -np.inf, ()
-    edges = _list_edges(np.concatenate(points), np.concatenate(normals), centre)
+    every = np.concatenate(normals)
+    friction = np.where(every[:, 2] >= STEEPEST, REST_FRICTION, 0.0)
+    return measure_margin_on(np.concatenate(points), every, centre, friction), tuple(names)
+
+
+def measure_margin_on(
+    points: Float[np.ndarray, "P 3"],
+    normals: Float[np.ndarray, "P 3"],
+    centre: Float[np.ndarray, "3"],
+    friction: Float[np.ndarray, "P"],
+) -> float:
+    """Return how far a weight at ``centre`` may be off to any side of what contact points hold [m].
+
+    It is negative infinity where they do not hold it.
+
+    Args:
+        points, normals: of the contacts, into the object.
+        centre: (3,) of mass.
+        friction: (P,) coefficients.
+    """
+    edges = _list_edges(points, normals, centre, friction)
     angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    margin = min(_find_farthest(edges, np.array([np.cos(angle), np.sin(angle)])) for angle in angles.tolist())
-    return margin, tuple(names)
+    return min(_find_farthest(edges, np.array([np.cos(angle), np.sin(angle)])) for angle in angles.tolist())
 
 
-def _touch(body: LinkBody, piece: ConvexPiece) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "3"]]:
+def find_rest_contact(body: LinkBody, piece: ConvexPiece) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "3"]]:
     """Return where a piece carries an object, and the normal into the object; no points where they do not touch."""
+    low, high = body.vertices.min(axis=0) - REST_GAP_M, body.vertices.max(axis=0) + REST_GAP_M
+    if np.any(piece.lower > high) or np.any(piece.upper < low):
+        return np.zeros((0, 3)), np.zeros(3)
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.enable_signed_distance = True
     solid, place = RoundedBody.of_body(body), coal.Transform3s()
@@ -70,13 +90,16 @@ def _touch(body: LinkBody, piece: ConvexPiece) -> tuple[Float[np.ndarray, "P 3"]
 
 
 def _list_edges(
-    points: Float[np.ndarray, "P 3"], normals: Float[np.ndarray, "P 3"], centre: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "P 3"],
+    normals: Float[np.ndarray, "P 3"],
+    centre: Float[np.ndarray, "3"],
+    friction: Float[np.ndarray, "P"],
 ) -> Float[np.ndarray, "6 E"]:
     """Return the wrenches about ``centre`` of the edges of all friction pyramids."""
     basis = np.linalg.svd(normals[:, None])[2][:, 1:]
     angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
     around = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ basis
-    forces = normals[:, None] + REST_FRICTION * around
+    forces = normals[:, None] + friction[:, None, None] * around
     arms = np.cross((points - centre)[:, None], forces)
     return np.asarray(np.concatenate([forces, arms], axis=2).reshape(-1, 6).T)
 

@@ -689,7 +689,7 @@ class Step(_message.Message):
     def __init__(self, name: _Optional[str] = ..., move: _Optional[_Union[StepMove, _Mapping]] = ..., screw: _Optional[_Union[Screw, _Mapping]] = ..., follow: _Optional[_Union[Follow, _Mapping]] = ..., touch: _Optional[_Union[Touch, _Mapping]] = ..., press: _Optional[_Union[Press, _Mapping]] = ..., mechanism: _Optional[_Union[Mechanism, _Mapping]] = ..., body: _Optional[_Union[BodyMove, _Mapping]] = ..., wait: _Optional[str] = ..., check: _Optional[str] = ..., look: _Optional[str] = ..., grasp: _Optional[_Union[GraspStep, _Mapping]] = ..., release: _Optional[_Union[Release, _Mapping]] = ..., insert: _Optional[_Union[Fit, _Mapping]] = ..., withdraw: _Optional[_Union[Fit, _Mapping]] = ..., walk: _Optional[_Union[Walk, _Mapping]] = ..., contacts: _Optional[_Union[Contacts, _Mapping]] = ..., hold: _Optional[_Union[Hold, _Mapping]] = ...) -> None: ...
 
 class StepMove(_message.Message):
-    __slots__ = ("joints", "posture", "poses", "by", "arc", "hand", "frame", "along", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg")
+    __slots__ = ("joints", "posture", "poses", "by", "arc", "hand", "frame", "along", "free_axis", "other_hand", "speed_m_s", "duration_s", "tolerance_m", "rotation_tolerance_deg", "blend_m")
     class JointsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -711,6 +711,7 @@ class StepMove(_message.Message):
     DURATION_S_FIELD_NUMBER: _ClassVar[int]
     TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    BLEND_M_FIELD_NUMBER: _ClassVar[int]
     joints: _containers.ScalarMap[str, float]
     posture: str
     poses: _containers.RepeatedCompositeFieldContainer[PoseGoal]
@@ -725,7 +726,8 @@ class StepMove(_message.Message):
     duration_s: float
     tolerance_m: float
     rotation_tolerance_deg: float
-    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., posture: _Optional[str] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., by: _Optional[_Union[Shift, _Mapping]] = ..., arc: _Optional[_Union[Arc, _Mapping]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., along: _Optional[_Union[Along, str]] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+    blend_m: float
+    def __init__(self, joints: _Optional[_Mapping[str, float]] = ..., posture: _Optional[str] = ..., poses: _Optional[_Iterable[_Union[PoseGoal, _Mapping]]] = ..., by: _Optional[_Union[Shift, _Mapping]] = ..., arc: _Optional[_Union[Arc, _Mapping]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., along: _Optional[_Union[Along, str]] = ..., free_axis: _Optional[_Union[StepFreeAxis, str]] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., speed_m_s: _Optional[float] = ..., duration_s: _Optional[float] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., blend_m: _Optional[float] = ...) -> None: ...
 
 class Shift(_message.Message):
     __slots__ = ("translation", "rotation_deg", "axes")
@@ -806,7 +808,7 @@ class Circle(_message.Message):
     def __init__(self, centre: _Optional[_Iterable[float]] = ..., radius_m: _Optional[float] = ..., angle_deg: _Optional[float] = ..., begin_deg: _Optional[float] = ..., sense: _Optional[_Union[CircleSense, str]] = ...) -> None: ...
 
 class Follow(_message.Message):
-    __slots__ = ("face", "circle", "polyline", "hand", "frame", "depth_m", "tilt_deg", "tilt_towards", "turn", "approach_m", "speed_m_s", "thrust_n", "touch_depth_m", "other_hand", "tolerance_m", "rotation_tolerance_deg")
+    __slots__ = ("face", "circle", "polyline", "hand", "frame", "depth_m", "tilt_deg", "tilt_towards", "turn", "approach_m", "speed_m_s", "thrust_n", "touch_depth_m", "other_hand", "tolerance_m", "rotation_tolerance_deg", "blend_m")
     FACE_FIELD_NUMBER: _ClassVar[int]
     CIRCLE_FIELD_NUMBER: _ClassVar[int]
     POLYLINE_FIELD_NUMBER: _ClassVar[int]
@@ -823,6 +825,7 @@ class Follow(_message.Message):
     OTHER_HAND_FIELD_NUMBER: _ClassVar[int]
     TOLERANCE_M_FIELD_NUMBER: _ClassVar[int]
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
+    BLEND_M_FIELD_NUMBER: _ClassVar[int]
     face: Face
     circle: Circle
     polyline: _containers.RepeatedCompositeFieldContainer[Point]
@@ -839,7 +842,8 @@ class Follow(_message.Message):
     other_hand: OtherHand
     tolerance_m: float
     rotation_tolerance_deg: float
-    def __init__(self, face: _Optional[_Union[Face, _Mapping]] = ..., circle: _Optional[_Union[Circle, _Mapping]] = ..., polyline: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., depth_m: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., tilt_towards: _Optional[_Iterable[float]] = ..., turn: _Optional[_Union[ToolTurn, str]] = ..., approach_m: _Optional[float] = ..., speed_m_s: _Optional[float] = ..., thrust_n: _Optional[float] = ..., touch_depth_m: _Optional[float] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ...) -> None: ...
+    blend_m: float
+    def __init__(self, face: _Optional[_Union[Face, _Mapping]] = ..., circle: _Optional[_Union[Circle, _Mapping]] = ..., polyline: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., depth_m: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., tilt_towards: _Optional[_Iterable[float]] = ..., turn: _Optional[_Union[ToolTurn, str]] = ..., approach_m: _Optional[float] = ..., speed_m_s: _Optional[float] = ..., thrust_n: _Optional[float] = ..., touch_depth_m: _Optional[float] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., blend_m: _Optional[float] = ...) -> None: ...
 
 class Touch(_message.Message):
     __slots__ = ("direction", "window_m", "force_n", "axes", "pieces", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "tolerance_m", "rotation_tolerance_deg")
