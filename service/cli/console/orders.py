@@ -12,7 +12,15 @@ from service.cli.console.inbox import execute_plan, list_inbox, open_plan, revie
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
-from service.cli.console.scans import MOST_POINTS, compare_scans, detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.scans import (
+    MOST_POINTS,
+    compare_scans,
+    detect_at,
+    list_scans,
+    move_hit,
+    show_scan,
+    upload_scan,
+)
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.proto.planner.v1.planner_pb2 import SimulationVerdict
@@ -82,6 +90,14 @@ class DetectOrder(Section):
     at: Point
     kinds: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
     posture: Name | None = None
+
+
+@checked(config=SECTION)
+class MoveHitOrder(Section):
+    """By how far the operator moved a fit from where the scan shows it, in world axes [m]."""
+
+    hit: int
+    moved_m: Point
 
 
 @checked(config=SECTION)
@@ -199,6 +215,10 @@ async def _detect(console: Console, session: OperatorSession, order: DetectOrder
     return await detect_at(session.client, session.hits, clouds, order.at, order.kinds)
 
 
+async def _move_hit(console: Console, session: OperatorSession, order: MoveHitOrder) -> Any:
+    return move_hit(session.hits, order.hit, order.moved_m)
+
+
 async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
     request = make_request(session, console.settings.scans, order)
     return start_plan(session, order.task, request)
@@ -243,6 +263,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "scan": PageOrder(ScanOrder, _scan),
     "changes": PageOrder(ChangesOrder, _changes),
     "detect": PageOrder(DetectOrder, _detect),
+    "move_hit": PageOrder(MoveHitOrder, _move_hit),
     "plan": PageOrder(PlanOrder, _plan),
     "cancel": PageOrder(CancelOrder, _cancel),
     "take": PageOrder(TakeOrder, _take),

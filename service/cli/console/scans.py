@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
 from service.proto.planner.v1.request_pb2 import CloudFile, Start
 from service.request.schema import RobotRequest, StartRequest
+from service.request.tasks.kind import LARGEST_MOVE_M
 from service.viewer.payload import quantize, thin_points
 
 MOST_SCANS = 200
@@ -118,14 +120,52 @@ async def detect_at(
                 "residuals": dict(found.residuals),
                 "doubts": list(found.doubts),
                 "points": quantize(np.empty((0, 3))),
+                "moved_m": [0.0, 0.0, 0.0],
             })  # fmt: skip
     hits.sort(key=lambda hit: -hit["confidence"])
     for hit in hits:
-        hit["hit"] = max(known, default=0) + 1
-        known[hit["hit"]] = hit
+        _keep_hit(known, hit)
+    return {"hits": hits, "notes": notes}
+
+
+def move_hit(known: dict[int, dict[str, Any]], number: int, moved_m: Sequence[float]) -> dict[str, Any]:
+    """Return a fit as the operator moved it, which is another object from then on.
+
+    Args:
+        known: objects that were found, by number; the moved one is added.
+        number: of the fit.
+        moved_m: displacement from where the scan shows it, in world axes [m].
+
+    Raises:
+        RequestError: the fit is not known any more, or the displacement is too large.
+    """
+    hit = find_hit(known, number)
+    size = math.hypot(*moved_m)
+    if size > LARGEST_MOVE_M:
+        raise RequestError(f"moved_m: {size:.3g} m; expected at most {LARGEST_MOVE_M:g} m, click again for farther")
+    pose = np.array(hit["pose_world_object"])
+    pose[:3, 3] += np.subtract(moved_m, hit["moved_m"])
+    moved = {**hit, "pose_world_object": pose.tolist(), "moved_m": list(moved_m)}
+    _keep_hit(known, moved)
+    return moved
+
+
+def find_hit(known: Mapping[int, dict[str, Any]], number: int) -> dict[str, Any]:
+    """Return an object that was found.
+
+    Raises:
+        RequestError: it is not known any more.
+    """
+    if number not in known:
+        raise RequestError(f"hit: object {number} is not known any more; click on it again")
+    return known[number]
+
+
+def _keep_hit(known: dict[int, dict[str, Any]], hit: dict[str, Any]) -> None:
+    hit["hit"] = max(known, default=0) + 1
+    known[hit["hit"]] = hit
     for old in sorted(known)[:-MOST_HITS]:
         del known[old]
-    return {"hits": hits, "notes": notes}
 
 
 async def upload_scan(

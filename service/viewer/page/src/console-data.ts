@@ -42,7 +42,7 @@ export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface ScanChanges { line: string; added: Quantized; gone: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
-  residuals: Record<string, number>; doubts: string[]; points: Quantized;
+  residuals: Record<string, number>; doubts: string[]; points: Quantized; moved_m: number[];
 }
 export interface Found { hits: FoundHit[]; notes: string[] }
 

@@ -18,6 +18,7 @@ export class TabView {
   private readonly found = el("div", "found");
   private readonly newer = el("div", "chips newer");
   private readonly moved = el("p", "soft moved");
+  private readonly moving = el("div", "moving");
   private scanChoice: HTMLSelectElement | null = null;
   private readonly progress = el("div", "progress");
   private readonly plan: HTMLButtonElement;
@@ -63,7 +64,7 @@ export class TabView {
     });
     this.scanChoice = scan;
     this.element.append(section("Scan", scan, this.newer, this.moved));
-    if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found));
+    if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found, this.moving));
     const fields = askedFor(tab).map((parameter) => this.field(parameter));
     const given = tab.parameters.filter(({ detect }) => detect !== null).map((parameter) => this.field(parameter));
     if (fields.length > 0) this.element.append(section("Parameters", ...fields));
@@ -149,6 +150,10 @@ export class TabView {
       if (asked !== this.asked || !this.element.isConnected) return;
       this.view = new ScanView(scan.cloud, this.host);
       this.view.onClick = (at) => void this.detect(at);
+      this.view.onMove = (by) => {
+        const hit = this.hits.find((one) => one.hit === this.chosen);
+        if (hit) void this.move(hit, hit.moved_m.map((value, axis) => value + by[axis]));
+      };
       const what = this.tab.kinds.length > 0 ? `click on the ${words(this.tab.kinds[0])}` : "";
       if (scan.age_s > OLD_SCAN_S) this.say(`this scan is ${ago(scan.age_s)} old${what ? `; ${what}` : ""}`, "fair");
       else this.say(what, "");
@@ -190,11 +195,40 @@ export class TabView {
       const place = hit.pose_world_object.slice(0, 3).map((line) => line[3].toFixed(2)).join(", ");
       row.append(
         el("span", "mark", isSure ? "✓" : "?"), el("span", "name", words(hit.kind)), el("span", "value", `${Math.round(100 * hit.confidence)} %`),
-        el("span", "detail", [`at ${place} m`, ...hit.doubts].join("; ")),
+        el("span", "detail", [`at ${place} m`, ...(hit.moved_m.some(Boolean) ? ["moved by hand"] : []), ...hit.doubts].join("; ")),
       );
       return row;
     }));
     if (this.hits.length === 0) this.found.append(el("p", "soft", "none chosen"));
+    this.listMoves();
+  }
+
+  // How far the chosen fit was moved from where the scan shows it; by numbers here, by its arrows in the view.
+  private listMoves(): void {
+    const hit = this.hits.find((one) => one.hit === this.chosen);
+    if (!hit) return this.moving.replaceChildren();
+    const input = el("input", "text");
+    input.value = hit.moved_m.map((value) => value.toFixed(3)).join(", ");
+    input.addEventListener("change", () => {
+      const moved = input.value.split(/[\s,;]+/).filter(Boolean).map(Number);
+      if (moved.length === 3 && moved.every(Number.isFinite)) void this.move(hit, moved);
+      else this.say(`moved: expected 3 numbers, got "${input.value}"`, "bad");
+    });
+    const field = labelled("moved by [m]", input);
+    field.title = "from where the scan shows it, in world axes; or drag the arrows in the view";
+    this.moving.replaceChildren(field);
+  }
+
+  private async move(hit: FoundHit, moved: number[]): Promise<void> {
+    try {
+      const made = await this.link.order<FoundHit>("move_hit", { hit: hit.hit, moved_m: moved });
+      this.hits = this.hits.map((one) => (one.hit === hit.hit ? made : one));
+      this.choose(made.hit);
+      this.say("", "");
+    } catch (error) {
+      this.choose(this.chosen);
+      this.say(String(error instanceof Error ? error.message : error), "bad");
+    }
   }
 
   private async ask(): Promise<void> {

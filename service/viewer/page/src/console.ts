@@ -311,6 +311,7 @@ try {
     get hasScan(): boolean { return page.tab?.view !== null && page.tab?.view !== undefined; },
     choose: (name: string): void => page.choose(name),
     open: (id: string): Promise<void> => page.open(id),
+    get tab(): TabView | null { return page.tab; },
     get pose(): PoseTab | null { return page.pose; },
     project: (place: number[]): number[] | null => page.tab?.view?.pixel(place) ?? null,
   } });
