@@ -19,6 +19,7 @@ from service.cli.console.scans import (
     list_scans,
     move_hit,
     show_scan,
+    show_unseen,
     upload_scan,
 )
 from service.cli.console.sessions import OperatorSession
@@ -69,6 +70,15 @@ class ScanOrder(Section):
     robot: Name
     posture: Name | None = None
     most_points: Annotated[int, Field(ge=100, le=MOST_POINTS)] = MOST_POINTS
+
+
+@checked(config=SECTION)
+class UnseenOrder(Section):
+    """What of which scan was not seen, by the robot that stood in it."""
+
+    scan: Name
+    robot: Name
+    posture: Name | None = None
 
 
 @checked(config=SECTION)
@@ -210,6 +220,10 @@ async def _changes(console: Console, session: OperatorSession, order: ChangesOrd
     return await compare_scans(console.settings.scans, order.scan, order.before, order.robot, order.posture)
 
 
+async def _unseen(console: Console, session: OperatorSession, order: UnseenOrder) -> Any:
+    return await show_unseen(console.settings.scans, order.scan, order.robot, order.posture)
+
+
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
     clouds = await upload_scan(session.client, console.settings.scans, order.scan, order.robot, order.posture)
     return await detect_at(session.client, session.hits, clouds, order.at, order.kinds)
@@ -262,6 +276,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
     "changes": PageOrder(ChangesOrder, _changes),
+    "unseen": PageOrder(UnseenOrder, _unseen),
     "detect": PageOrder(DetectOrder, _detect),
     "move_hit": PageOrder(MoveHitOrder, _move_hit),
     "plan": PageOrder(PlanOrder, _plan),

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,8 +21,12 @@ from service.request.schema import RobotRequest, StartRequest
 from service.request.tasks.kind import LARGEST_MOVE_M
 from service.viewer.payload import quantize, thin_points
 
+if TYPE_CHECKING:
+    from service.scan.cloud import CloudRead
+
 MOST_SCANS = 200
 MOST_POINTS = 60_000
+MOST_UNSEEN = 20_000
 ROUND_ROBOT_M = 0.05  # points this near to the robot's shapes are its own
 MOST_HITS = 100  # that a session remembers
 
@@ -61,6 +65,16 @@ async def show_scan(
     path = find_scan(folders, name)
     cloud = thin_points(await asyncio.to_thread(_read_points, path, robot, posture), most_points)
     return {"name": name, "age_s": max(0.0, time.time() - path.stat().st_mtime), "cloud": quantize(cloud)}
+
+
+async def show_unseen(folders: Sequence[Path], name: str, robot: str, posture: str | None) -> dict[str, Any]:
+    """Return where the space that a scan has seen ends without a surface, packed for the page.
+
+    Raises:
+        RequestError: there is no such scan, or it cannot be read.
+    """
+    unseen = await asyncio.to_thread(_find_unseen, find_scan(folders, name), robot, posture)
+    return {"cells": quantize(thin_points(unseen, MOST_UNSEEN))}
 
 
 async def compare_scans(
@@ -195,16 +209,33 @@ def _find_scans(folders: Sequence[Path]) -> dict[str, Path]:
 
 
 def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
-    """Return the points of a cloud file without those of a robot; one that only the server knows keeps its own."""
+    """Return the points of a cloud file without those of a robot."""
     from perception import inside_hulls
+
+    read = _read_cloud(path, robot, posture)
+    points = read.cloud.points
+    own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
+    return np.asarray(points[~own])
+
+
+def _read_cloud(path: Path, robot: str, posture: str | None) -> CloudRead:
+    """Read a cloud file and the robot that stood in it; one that only the server knows keeps its own points."""
     from service.scan.cloud import CloudInput, read_input
 
     clouds = CloudInput((path,))
     start = StartRequest() if posture is None else StartRequest(posture=posture)
     try:
-        read = read_input(replace(clouds, robot=RobotRequest(name=robot), start=start), lambda step: None)
+        return read_input(replace(clouds, robot=RobotRequest(name=robot), start=start), lambda step: None)
     except RequestError:
-        read = read_input(clouds, lambda step: None)
-    points = read.cloud.points
-    own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
-    return np.asarray(points[~own])
+        return read_input(clouds, lambda step: None)
+
+
+def _find_unseen(path: Path, robot: str, posture: str | None) -> np.ndarray:
+    from perception import CloudError, list_unseen, make_view
+
+    read = _read_cloud(path, robot, posture)
+    try:
+        view = make_view(read.cloud, robot_hulls=read.hulls, soles=read.soles)
+    except CloudError as error:
+        raise RequestError(f"scan: {error}") from None
+    return list_unseen(view.cloud.rays, view.near.points, view.reach, view.floors, view.robot_hulls)

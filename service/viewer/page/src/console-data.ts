@@ -39,6 +39,7 @@ export interface RobotState {
   control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
+export interface Unseen { cells: Quantized }
 export interface ScanChanges { line: string; added: Quantized; gone: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;

@@ -1,5 +1,5 @@
 // The scan of a task tab: its points, a click on one of them, and the objects that were found there.
-import { Box3, Object3D, Vector3 } from "three";
+import { Box3, Object3D, Points, ShaderMaterial, Vector3 } from "three";
 import { TransformControls } from "three/examples/jsm/controls/TransformControls.js";
 import { FoundHit, ScanChanges, pick, tintByHeight } from "./console-data";
 import { el } from "./dom";
@@ -10,6 +10,7 @@ import { Stage } from "./stage";
 import { THEMES } from "./theme";
 
 const FEW = 0.1;   // of the points, that may lie outside of what is looked at
+const UNSEEN = [0.55, 0.2, 0.75];
 const STILL = 4;   // [px] that a click may move
 
 export class ScanView {
@@ -21,6 +22,7 @@ export class ScanView {
   private readonly overlay = el("div", "labels");
   private labels: Labels;
   private hits: Hits | null = null;
+  private shaded: Points | null = null;
   private readonly origin = new Origin();
   private readonly theme: "dark" | "light";
   private readonly subject: Box3;
@@ -101,6 +103,22 @@ export class ScanView {
     }
     this.stage.draw();
   }
+
+  // Shade where seen space ends without a surface; null takes the shade away.
+  shade(cells: Quantized | null): void {
+    if (this.shaded) this.stage.scene.remove(this.shaded);
+    this.shaded = null;
+    if (cells) {
+      const places = unpack(cells);
+      this.shaded = pointCloud(places, Float32Array.from(places, (_, i) => UNSEEN[i % 3]), 46, 0.1);
+      this.shaded.renderOrder = 2;
+      (this.shaded.material as ShaderMaterial).depthWrite = false;
+      this.stage.scene.add(this.shaded);
+    }
+    this.stage.draw();
+  }
+
+  get isShaded(): boolean { return this.shaded !== null; }
 
   // Page pixel of a place, for tests.
   pixel(place: number[]): number[] { return this.stage.pixel(new Vector3().fromArray(place)); }

@@ -1,6 +1,6 @@
 // One task tab, made of its task file: scan, a click on an object, parameters, and the plan.
 import {
-  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanChanges, ScanCloud, ScanRow, Tab, Tabs, ago, askedFor, readValue, writeValue,
+  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanChanges, ScanCloud, ScanRow, Tab, Tabs, Unseen, ago, askedFor, readValue, writeValue,
 } from "./console-data";
 import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
@@ -18,6 +18,7 @@ export class TabView {
   private readonly found = el("div", "found");
   private readonly newer = el("div", "chips newer");
   private readonly moved = el("p", "soft moved");
+  private readonly shading = el("input");
   private readonly moving = el("div", "moving");
   private scanChoice: HTMLSelectElement | null = null;
   private readonly progress = el("div", "progress");
@@ -63,7 +64,10 @@ export class TabView {
       void this.showScan();
     });
     this.scanChoice = scan;
-    this.element.append(section("Scan", scan, this.newer, this.moved));
+    this.shading.type = "checkbox";
+    this.shading.checked = recall("unseen") === "yes";
+    this.shading.addEventListener("change", () => { remember("unseen", this.shading.checked ? "yes" : "no"); void this.shade(); });
+    this.element.append(section("Scan", scan, this.newer, this.moved, el("label", "placed", this.shading, " shade what the scan has not seen")));
     if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found, this.moving));
     const fields = askedFor(tab).map((parameter) => this.field(parameter));
     const given = tab.parameters.filter(({ detect }) => detect !== null).map((parameter) => this.field(parameter));
@@ -154,11 +158,23 @@ export class TabView {
         const hit = this.hits.find((one) => one.hit === this.chosen);
         if (hit) void this.move(hit, hit.moved_m.map((value, axis) => value + by[axis]));
       };
+      if (this.shading.checked) void this.shade();
       const what = this.tab.kinds.length > 0 ? `click on the ${words(this.tab.kinds[0])}` : "";
       if (scan.age_s > OLD_SCAN_S) this.say(`this scan is ${ago(scan.age_s)} old${what ? `; ${what}` : ""}`, "fair");
       else this.say(what, "");
     } catch (error) {
       if (asked === this.asked) this.say(String(error instanceof Error ? error.message : error), "bad");
+    }
+  }
+
+  private async shade(): Promise<void> {
+    const { view } = this;
+    if (!view || !this.shading.checked) return view?.shade(null);
+    try {
+      const { cells } = await this.link.order<Unseen>("unseen", this.stood());
+      if (view === this.view && this.shading.checked) view.shade(cells);
+    } catch (error) {
+      this.say(String(error instanceof Error ? error.message : error), "bad");
     }
   }
 
