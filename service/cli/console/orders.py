@@ -170,11 +170,14 @@ class RobotOrder(Section):
     Attributes:
         revision: of the robot's state; ``stop`` is obeyed with any.
         speed: with ``speed``, share of real time.
+        link, offset_m: with ``shift``, a foot or hand, and the displacement of its target [m].
     """
 
-    command: Literal["pause", "resume", "stop", "abort", "speed", "release_control"]
+    command: Literal["pause", "resume", "stop", "abort", "speed", "shift", "release_control"]
     revision: int
     speed: float = 0.0
+    link: Annotated[str, Field(max_length=200)] = ""
+    offset_m: Annotated[tuple[float, ...], Field(max_length=3)] = ()
 
 
 @checked(config=SECTION)
@@ -260,7 +263,8 @@ async def _execute(console: Console, session: OperatorSession, order: ExecuteOrd
 
 
 async def _command(console: Console, session: OperatorSession, order: RobotOrder) -> Any:
-    return {"revision": await session.robot.command(order.command, order.revision, order.speed)}
+    shift = order.link, order.offset_m
+    return {"revision": await session.robot.command(order.command, order.revision, order.speed, *shift)}
 
 
 async def _acknowledge(console: Console, session: OperatorSession, order: AcknowledgeOrder) -> Any:

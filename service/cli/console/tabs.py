@@ -110,10 +110,10 @@ def _add_place(task: Any, hit: Mapping[str, Any]) -> Any:
     A section without a place for it, or one that says so itself, stays as it is.
     """
     section = parse_request({"robot": {"name": ANY_ROBOT}, "task": task}).section
-    if len(task) != 1:
+    name, given = next(iter(task.items()))
+    if len(task) != 1 or not isinstance(given, Mapping):
         return task
-    (name,) = task
-    given = dict(task[name])
+    given = dict(given)
     if getattr(section, HINT, given) is None:
         seen = np.array(hit["pose_world_object"])[:3, 3] - hit["moved_m"]
         given[HINT] = seen.tolist()

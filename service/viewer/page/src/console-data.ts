@@ -37,6 +37,7 @@ export interface RobotState {
   is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
   findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
   control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
+  shifts: Record<string, number[]>; shiftable: string[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface Unseen { cells: Quantized }
