@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
+from service.cli.console.cameras import take_picture
 from service.cli.console.inbox import execute_plan, list_inbox, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
@@ -70,6 +71,13 @@ class ScanOrder(Section):
     robot: Name
     posture: Name | None = None
     most_points: Annotated[int, Field(ge=100, le=MOST_POINTS)] = MOST_POINTS
+
+
+@checked(config=SECTION)
+class PictureOrder(Section):
+    """Of which camera a picture is wanted."""
+
+    camera: Name
 
 
 @checked(config=SECTION)
@@ -212,7 +220,12 @@ async def _tabs(console: Console, session: OperatorSession, order: Nothing) -> A
         "tabs": list_tabs(),
         "robots": [{"name": robot.name, "postures": list(robot.postures)} for robot in robots],
         "scans": list_scans(console.settings.scans),
+        "cameras": [{"name": camera.name, "phases": camera.phases} for camera in console.settings.cameras],
     }
+
+
+async def _picture(console: Console, session: OperatorSession, order: PictureOrder) -> Any:
+    return await take_picture(console.settings.cameras, order.camera)
 
 
 async def _scan(console: Console, session: OperatorSession, order: ScanOrder) -> Any:
@@ -280,6 +293,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
     "changes": PageOrder(ChangesOrder, _changes),
+    "picture": PageOrder(PictureOrder, _picture),
     "unseen": PageOrder(UnseenOrder, _unseen),
     "detect": PageOrder(DetectOrder, _detect),
     "move_hit": PageOrder(MoveHitOrder, _move_hit),

@@ -31,7 +31,9 @@ export interface Parameter {
 export interface Tab { name: string; help: string; parameters: Parameter[]; kinds: string[]; errors: string[] }
 export interface RobotChoice { name: string; postures: string[] }
 export interface ScanRow { name: string; age_s: number }
-export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[] }
+export interface CameraChoice { name: string; phases: string[] }
+export interface CameraPicture { image: string; marks: Record<string, number[]> }
+export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[]; cameras: CameraChoice[] }
 // The server's robot (service/cli/console/robot.py); without one only the first three.
 export interface RobotState {
   is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
