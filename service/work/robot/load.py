@@ -17,7 +17,7 @@ from service.result.folder import read_result
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
 from service.simulation.stand import read_recorded_request
 from service.start.robot import resolve_stiffness
-from service.verify import Motion
+from service.verify import Motion, find_mechanism_joints
 from service.wire.hashes import hash_trajectory
 
 
@@ -66,6 +66,10 @@ def load_plan(folder: Path, trajectory_sha256: str, *, is_proven: bool = False) 
 
 
 def hash_motion(motion: Motion) -> str:
-    """Return the hash of a motion's samples, as results state it."""
+    """Return the hash of a motion's samples, as results state it: of the robot alone, without what it moves."""
+    model = motion.robot.model
+    n_moved = sum(int(model.joints[joint].nv) for joint in find_mechanism_joints(motion))  # the last columns
+    names = file_columns(motion.robot)
     positions = file_positions(motion.robot, motion.curve(samples_of(motion))[:, : motion.robot.n])
-    return hash_trajectory(file_columns(motion.robot), sample_times(motion), positions)
+    n_own = len(names) - n_moved
+    return hash_trajectory(names[:n_own], sample_times(motion), positions[:, :n_own])
