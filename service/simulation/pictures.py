@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 from service.execution.reference import PlannedReference
 from service.simulation.robot import SimulatedRobot
 
+LIGHT = 0.6  # of the head's own lamp
 SIZE = (240, 320)  # height and width [px]
 # Eye and what it looks at, from the base and turned with it about the vertical [m]: before the head, and at the knees.
 VIEWS: Mapping[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -57,6 +58,7 @@ class CameraRenderer:
         eye, aim = (_place(base, np.array(point)) for point in VIEWS[view])
         camera = _look(mujoco, eye, aim)
         self._renderer.update_scene(self._data, camera)
+        self._renderer.scene.lights[0].ambient[:] = self._renderer.scene.lights[0].diffuse[:] = LIGHT  # the head's own
         pixels = self._renderer.render()
         places = list_planned(reference, phase)
         moved = np.flatnonzero(model.is_mechanism)

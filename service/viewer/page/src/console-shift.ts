@@ -21,8 +21,9 @@ export class ShiftPanel {
     this.link.addEventListener("change", () => this.read());
     const back = button("", "As planned", "Take the displacement back", () => this.set([0, 0, 0]));
     this.element.append(
-      el("summary", "", "Shift a target"), this.link, ...this.axes.map(({ element }) => element), back,
-      el("span", "soft", "m in world axes, at most 0.3 m; a shifted target is outside of the plan's certificate"),
+      el("summary", "", "Shift a target"),
+      el("div", "axes", this.link, ...this.axes.map(({ element }) => element), back,
+        el("span", "soft", "m in world axes, at most 0.3 m; a shifted target is outside of the plan's certificate")),
     );
   }
 
@@ -66,8 +67,9 @@ export class ShiftPanel {
     this.state = state;
     this.element.hidden = !state.has_control || !UNDER_WAY.includes(state.mode) || state.shiftable.length === 0;
     this.element.classList.toggle("off", !mayOrder);
-    if (this.links.join() === state.shiftable.join()) return;
-    this.links = state.shiftable;
+    const links = [...state.shiftable].reverse();  // hands first: a foot that stands carries the robot
+    if (this.links.join() === links.join()) return;
+    this.links = links;
     this.link.replaceChildren(...this.links.map((name) => {
       const option = el("option", "", words(name));
       option.value = name;
