@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from perception.cleaning.outliers import inliers
     from perception.cloud import Cloud, make_cloud
     from perception.convex.piece import Evidence, Piece
+    from perception.convex.unknown import list_unseen
     from perception.detect import KINDS, detect_at, detect_each, detect_kinds, find_offered
     from perception.detect.door.bodies import door_bodies
     from perception.detect.door.geometry import DoorGeometry, HandleGeometry
@@ -102,6 +103,7 @@ __all__ = [
     "inliers",
     "inside_hulls",
     "lever_bodies",
+    "list_unseen",
     "make_cloud",
     "make_view",
     "on_floor",
@@ -129,6 +131,7 @@ _MODULES = {
     "cleaning.outliers": ("inliers",),
     "cloud": ("Cloud", "make_cloud"),
     "convex.piece": ("Evidence", "Piece"),
+    "convex.unknown": ("list_unseen",),
     "detect": ("KINDS", "detect_at", "detect_each", "detect_kinds", "find_offered"),
     "detect.door.bodies": ("door_bodies",),
     "detect.door.geometry": ("DoorGeometry", "HandleGeometry"),

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
-from scipy.spatial import HalfspaceIntersection
+from scipy.spatial import HalfspaceIntersection, cKDTree
 
 from costs.scene import ConvexPiece
 from costs.stopping import poll
@@ -27,6 +27,7 @@ _MOST_TRIES = 2_000
 _LEAST_GAIN = 0.008
 _CLEARANCE = 0.1
 _OVER_SOLE = 0.15
+_AT_SURFACE = 3.0  # cells from a measured point, whose surface is no end of what is seen
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
@@ -66,6 +67,29 @@ def make_unknown_pieces(
     return tuple(
         ConvexPiece(f"unknown/{i}", vertices, kind="unknown") for i, vertices in enumerate(_make_bodies(hidden, seen))
     )
+
+
+def list_unseen(
+    rays: tuple[Float[np.ndarray, "*R 3"], Float[np.ndarray, "R 3"]],
+    points: Float[np.ndarray, "N 3"],
+    reach: Reach,
+    floors: Sequence[Level],
+    robot_hulls: Sequence[Float[np.ndarray, "V 3"]] = (),
+) -> Float[np.ndarray, "K 3"]:
+    """Return where seen space ends without a surface: centres of unseen cells beside seen ones, off every point [m].
+
+    Args:
+        points: measured points, whose surfaces end seen space, too.
+        floors: levels; space below all of them is left out.
+        robot_hulls: (V, 3) vertices of the robot's links; the space within 10 cm of them is left out.
+    """
+    hidden, seen = _find_hidden(rays, reach, floors, robot_hulls)
+    rim = hidden & ndimage.binary_dilation(seen.free)
+    centres = np.asarray((np.argwhere(rim) + 0.5) * seen.size + seen.lower)
+    if not len(points) or not len(centres):
+        return centres
+    distances, _ = cKDTree(points).query(centres, distance_upper_bound=_AT_SURFACE * seen.size)
+    return np.asarray(centres[~np.isfinite(distances)])
 
 
 def _find_hidden(

@@ -455,16 +455,27 @@ class AsyncPlannerClient:
         response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
         return response
 
-    async def command(self, order: str, *, lease: str = "", revision: int = 0, speed: float = 0.0) -> CommandResponse:
+    async def command(
+        self,
+        order: str,
+        *,
+        lease: str = "",
+        revision: int = 0,
+        speed: float = 0.0,
+        link: str = "",
+        offset_m: Iterable[float] = (),
+    ) -> CommandResponse:
         """Give the server's robot an order.
 
         Args:
-            order: ``start``, ``pause``, ``resume``, ``stop``, ``abort``, ``speed`` or ``release_control``.
+            order: ``start``, ``pause``, ``resume``, ``stop``, ``abort``, ``speed``, ``shift`` or ``release_control``.
             lease: from ``take_control``; to stop it needs none.
             revision: of the state that the operator has seen.
             speed: with ``speed``, share of real time.
+            link: with ``shift``, the foot or hand.
+            offset_m: with ``shift``, displacement of its target from the plan, in world axes [m].
         """
-        message = make_command_message(order, lease, revision, speed)
+        message = make_command_message(order, lease, revision, speed, link, offset_m)
         response: CommandResponse = await self._call("Command", message, self._timeout_s, is_repeatable=False)
         return response
 

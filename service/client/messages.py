@@ -238,18 +238,29 @@ def _stamp(time: datetime | None) -> Timestamp | None:
     return stamp
 
 
-def make_command_message(order: str, lease: str, revision: int, speed: float) -> CommandRequest:
+def make_command_message(
+    order: str, lease: str, revision: int, speed: float, link: str = "", offset_m: Iterable[float] = ()
+) -> CommandRequest:
     """Return the message of an order by its name, such as ``pause``.
 
     Raises:
-        RequestError: there is no such order, or a speed belongs to ``speed`` only.
+        RequestError: there is no such order, or a value belongs to another one.
     """
     names = [name.removeprefix("ORDER_").lower() for name in list(Order.keys())[1:]]
     if order not in names:
         raise RequestError(f"order: unknown order {shown(order)}; expected {would_do(order, names)}")
     if speed and order != "speed":
         raise RequestError(f"speed: is of the order speed, and this is {order}")
-    return CommandRequest(order=f"ORDER_{order.upper()}", lease=lease, expected_revision=revision, speed=speed)
+    if link and order != "shift":
+        raise RequestError(f"link: is of the order shift, and this is {order}")
+    return CommandRequest(
+        order=f"ORDER_{order.upper()}",
+        lease=lease,
+        expected_revision=revision,
+        speed=speed,
+        link=link,
+        offset_m=offset_m,
+    )
 
 
 def make_review_message(

@@ -192,6 +192,11 @@ class Execution:
         self.controller.check_link(link)
         self._shifts[link] = self._shifts.get(link, Shift.zero()).towards(np.asarray(offset, dtype=float))
 
+    @property
+    def shifts(self) -> Mapping[str, Shift]:
+        """Displacements of targets that the operator asked for, by link."""
+        return self._shifts
+
     def replace_plan(self, reference: PlannedReference) -> None:
         """Go on with another plan, which starts where this execution stands.
 

@@ -64,6 +64,7 @@ ADDED = {
         "_Obstacle.in_scan",
     ),
     3: (
+        "DoorRequest.moved_m",
         "GoalRequest.any_of",
         "GoalRequest.rates",
         "GoalRequest.via",
@@ -97,6 +98,7 @@ ADDED = {
         "StartRequest.rates",
         "TaskRequest.pick_place",
         "TaskRequest.steps",
+        "ValveRequest.moved_m",
     ),
 }
 """Fields by the format that brought them: ``CLASS.FIELD``, with the class of the schema that declares the field.

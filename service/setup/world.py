@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -62,8 +62,24 @@ class Surroundings:
     doors: tuple[SeenDoor, ...] = ()
     seen: tuple[SeenPart, ...] = ()
 
+    def move_valve(self, offset: Float[np.ndarray, "3"]) -> Surroundings:
+        """Return the surroundings with the valve to turn, and the piece behind it, displaced [m]."""
+        first = replace(self.valves[0], centre=self.valves[0].centre + offset)
+        pieces = tuple(
+            replace(piece, vertices=piece.vertices + offset) if piece.kind == STEM else piece for piece in self.pieces
+        )
+        return replace(self, pieces=pieces, valves=(first, *self.valves[1:]))
+
+    def move_door(self, offset: Float[np.ndarray, "3"]) -> Surroundings:
+        """Return the surroundings with leaf and handle of the best door displaced [m]."""
+        seen = self.doors[0].geometry
+        grip = None if seen.handle is None else replace(seen.handle, centre=seen.handle.centre + offset)
+        first = replace(self.doors[0], geometry=replace(seen, hinge=seen.hinge + offset, handle=grip))
+        return replace(self, doors=(first, *self.doors[1:]))
+
 
 NOTHING = Surroundings(())
+STEM = "stem"  # kind of the piece behind a wheel, which goes with it
 TURNABLE = "turnable"  # detected kind of valves, the only objects that a scene file has
 
 
@@ -86,6 +102,25 @@ def read_surroundings(
     Raises:
         RequestError: a file that cannot be used.
     """
+    shown = _read_shown(request, robot, start, soles, see)
+    moved = getattr(request.section, "moved_m", None)
+    if moved is None or not (shown.valves or shown.doors):
+        return shown
+    offset = np.array(moved)
+    shown = shown.move_valve(offset) if shown.valves else shown.move_door(offset)
+    what = "valve" if shown.valves else "door"
+    note = f"the {what} was moved by hand by {np.linalg.norm(offset):.3f} m from where the scan shows it"
+    return replace(shown, notes=(*shown.notes, note))
+
+
+def _read_shown(
+    request: PlanRequest,
+    robot: RobotModel,
+    start: Float[np.ndarray, "n"],
+    soles: Mapping[str, np.ndarray],
+    see: Callable[..., Perceived] | None,
+) -> Surroundings:
+    """Return what scan or scene file show, without corrections by hand."""
     scene, section = request.scene, request.section
     hint = section.near or scene.hint
     if scene.file is not None:

@@ -6,12 +6,15 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from service.cli.console.orders import PlanOrder
+from service.cli.console.scans import move_hit
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.errors import RequestError
+from service.request.file import parse_request
 
 KNOCK = """
 help: Knock.
@@ -23,7 +26,7 @@ task:
 """
 HIT: dict[str, Any] = {
     "hit": 3, "kind": "valve", "searched": "valve", "confidence": 0.9, "sizes": {"outer_radius": 0.13},
-    "pose_world_object": [[1, 0, 0, 0.68], [0, 1, 0, 0.12], [0, 0, 1, 1.1], [0, 0, 0, 1]],
+    "pose_world_object": [[1, 0, 0, 0.68], [0, 1, 0, 0.12], [0, 0, 1, 1.1], [0, 0, 0, 1]], "moved_m": [0.0, 0.0, 0.0],
 }  # fmt: skip
 
 
@@ -80,6 +83,41 @@ def test_a_task_looks_for_its_object_where_the_operator_accepted_one(folder: Pat
     request = make_request(session(), (tmp_path,), order)
     assert request.section.near == (0.68, 0.12, 1.1)
     assert [cloud.file for cloud in request.scene.cloud_files] == [str(tmp_path / "a.pcd")]
+
+
+def test_a_fit_that_was_moved_by_hand_becomes_the_requests_object(folder: Path) -> None:
+    opened = session()
+    moved = move_hit(opened.hits, 3, (0.0, 0.02, -0.01))
+    assert np.array(moved["pose_world_object"])[:3, 3] == pytest.approx([0.68, 0.14, 1.09])
+    again = move_hit(opened.hits, moved["hit"], (0.0, 0.05, 0.0))
+    assert np.array(again["pose_world_object"])[:3, 3] == pytest.approx([0.68, 0.17, 1.1])
+    request = make_request(opened, (), PlanOrder(task="valve", values={}, robot="atlas", hit=again["hit"]))
+    assert request.section.near == pytest.approx((0.68, 0.12, 1.1))  # where the scan shows it
+    assert request.section.moved_m == (0.0, 0.05, 0.0)  # type: ignore[attr-defined]
+    button = move_hit(opened.hits, 4, (0.0, 0.0, 0.1))
+    press = make_request(opened, (), PlanOrder(task="button", values={}, robot="atlas", hit=button["hit"]))
+    assert press.section.steps[0].press.at == pytest.approx((0.68, 0.12, 1.2))  # type: ignore[attr-defined]
+    with pytest.raises(RequestError, match=r"moved_m: 0.4 m; expected at most 0.3 m"):
+        move_hit(opened.hits, 3, (0.4, 0.0, 0.0))
+    with pytest.raises(RequestError, match="object 99 is not known any more"):
+        move_hit(opened.hits, 99, (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("task", "words"),
+    [
+        ({"valve": {"moved_m": [0.2, 0.2, 0.2]}}, "moved_m: 0.346 m; expected at most 0.3 m"),
+        ({"valve": {"centre": [0.7, 0, 1], "moved_m": [0, 0, 0.1]}}, "correct centre instead"),
+        (
+            {"door": {"opens": "push", "leaf": {"hinge": [0.8, 0.5, 0], "edge": [0.8, -0.4, 0]}, "moved_m": [0, 0, 0]}},
+            "correct leaf instead",
+        ),
+    ],
+)
+def test_a_correction_that_makes_no_sense_is_named(task: dict[str, Any], words: str) -> None:
+    with pytest.raises(RequestError) as caught:
+        parse_request({"robot": {"name": "atlas"}, "task": task})
+    assert any(words in problem for problem in caught.value.problems)
 
 
 def test_parameters_are_read_off_the_accepted_object_unless_the_operator_sets_them(folder: Path) -> None:

@@ -99,7 +99,7 @@ def reference():
 def loaded(reference, monkeypatch):
     """Loading a plan gives the small one."""
     plan = LoadedPlan(reference, ExecutionSettings(), Path("/"), hash_motion(reference.motion), "s")
-    monkeypatch.setattr(runner_module, "load_plan", lambda folder, sha256: plan)
+    monkeypatch.setattr(runner_module, "load_plan", lambda folder, sha256, **more: plan)
     return plan
 
 
@@ -119,6 +119,24 @@ def test_an_order_is_answered_after_the_state_that_it_led_to(loaded):
     service.leave()
 
 
+def test_a_shifted_target_is_told_until_it_is_taken_back(loaded):
+    service = Service(holds_alone=True)
+    hand = "l_hand"
+    service.execute(waits_for_start=True)
+    early = service.order("shift", link=hand, offset_m=[0.1, 0.0, 0.0])["error"]
+    assert early == "shift: the execution is ready; expected one that runs or is paused"
+    service.order("speed", speed=0.01)
+    service.order("start")
+    assert service.order("shift", link=hand, offset_m=[0.1, 0.0, 0.0])["error"] == ""
+    assert (service.status["shifts"], service.status["last_order"]) == ({hand: [0.1, 0.0, 0.0]}, "shift by ann")
+    assert "expected at most 0.3 m" in service.order("shift", link=hand, offset_m=[0.4, 0.0, 0.0])["error"]
+    assert "unknown link 'nose'" in service.order("shift", link="nose", offset_m=[0.1, 0.0, 0.0])["error"]
+    assert service.order("shift", link=hand, offset_m=[0.0, 0.0, 0.0])["error"] == ""
+    assert service.status["shifts"] == {}
+    service.order("stop")
+    service.leave()
+
+
 def test_orders_that_make_no_sense_are_refused_in_a_sentence(loaded, monkeypatch):
     service = Service(holds_alone=True)
     assert service.order("pause")["error"] == "pause: the robot carries out no plan"
@@ -131,7 +149,7 @@ def test_orders_that_make_no_sense_are_refused_in_a_sentence(loaded, monkeypatch
     service.order("stop")
     assert until(lambda: service.status["mode"] == "aborted")
 
-    def fail(folder, sha256):
+    def fail(folder, sha256, **more):
         raise ValueError("a file that nobody thought of")
 
     monkeypatch.setattr(runner_module, "load_plan", fail)

@@ -38,6 +38,7 @@ from service.demands.recorded_task import MechanismDemand
 from service.demands.rest.phases import RestTask
 from service.demands.task_demand import World
 from service.errors import RequestError, ResultError
+from service.execution.reference import PlannedReference
 from service.planner import plan
 from service.replay.consistency import compare_figures
 from service.replay.replay import verify_result
@@ -49,6 +50,8 @@ from service.tasks.hints import find_anchor
 from service.trust.folders import list_paths
 from service.verify import Status, verify
 from service.wire.requests import request_from_message, request_to_message
+from service.wire.results import result_to_message
+from service.work.robot.load import hash_motion
 
 
 @pytest.fixture(scope="module")
@@ -461,3 +464,10 @@ def test_the_rest_of_a_task_reaches_for_the_handle_only_before_it_moves_anything
     recorded = SimpleNamespace(phases=[SimpleNamespace(name=spec.name, targets=()) for spec in specs])
     chosen, problems = rest.read_choices(recorded)
     assert ([spec.name for spec in chosen], problems) == (expected, ())
+
+
+def test_the_hash_of_a_motion_that_moves_a_mechanism_is_that_which_the_operator_sees(
+    drawer: tuple[PlanResult, Path],
+) -> None:
+    result, folder = drawer
+    assert hash_motion(PlannedReference.read(folder).motion) == result_to_message(result).trajectory.sha256

@@ -6,9 +6,11 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import grpc
 import pytest
@@ -19,6 +21,8 @@ from service.client import PlannerClient, PlannerError
 from service.client.answers import FinishedPlan
 from service.proto.planner.v1 import execution_pb2 as wire
 from service.request.file import parse_request
+from service.server.operation.executions import PROVEN_S, ExecutionHandlers, RobotSettings
+from service.store import DIRECT
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.filterwarnings("error")
@@ -121,6 +125,20 @@ def operator(client: PlannerClient) -> Iterator[Operator]:
     operator.leave()
 
 
+@pytest.mark.parametrize(
+    ("kind", "age_s", "is_proven"), [(DIRECT, 1.0, True), (DIRECT, PROVEN_S + 1.0, False), ("steps", 1.0, False)]
+)
+def test_only_a_direct_move_that_the_server_has_just_certified_is_not_verified_again(
+    kind: str, age_s: float, is_proven: bool
+) -> None:
+    handlers = ExecutionHandlers(RobotSettings(), None)  # type: ignore[arg-type]
+    now = time.time() + 1000.0
+    record = SimpleNamespace(kind=kind, created=now - age_s)
+    assert handlers._is_just_proven(record, now) is is_proven  # type: ignore[arg-type]
+    earlier = SimpleNamespace(kind=kind, created=handlers._begun - 1.0)  # by the server that ran before
+    assert not handlers._is_just_proven(earlier, handlers._begun)  # type: ignore[arg-type]
+
+
 def test_the_curve_that_is_carried_out_is_the_one_that_was_previewed(operator: Operator, made: FinishedPlan) -> None:
     answer = operator.execute(made)
     assert answer.trajectory_sha256 == made.result.trajectory.sha256
@@ -152,6 +170,12 @@ def test_orders_are_obeyed_and_answered_by_the_revision_of_the_state_after_them(
         state = operator.now()
         assert (state.revision, state.status.mode) == (revision, mode)
         assert state.status.last_order == f"{order} by local (test)"
+    operator.client.command(
+        "shift", lease=operator.lease, revision=operator.now().revision, link="l_hand", offset_m=(0.02, 0.0, 0.0)
+    )
+    assert [(shift.link, list(shift.offset_m)) for shift in operator.now().status.shifts] == [("l_hand", [0.02, 0, 0])]
+    with refused("offset_m: expected three finite numbers", grpc.StatusCode.INVALID_ARGUMENT):
+        operator.order("shift")
     with refused("start: the plan is running; it waits for no start"):
         operator.order("start")
     with refused("another plan is running"):

@@ -8,11 +8,21 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass as checked
 
+from service.cli.console.cameras import take_picture
 from service.cli.console.inbox import execute_plan, list_inbox, open_plan, review_plan
 from service.cli.console.jobs import cancel_plan, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
-from service.cli.console.scans import MOST_POINTS, compare_scans, detect_at, list_scans, show_scan, upload_scan
+from service.cli.console.scans import (
+    MOST_POINTS,
+    compare_scans,
+    detect_at,
+    list_scans,
+    move_hit,
+    show_scan,
+    show_unseen,
+    upload_scan,
+)
 from service.cli.console.sessions import OperatorSession
 from service.cli.console.tabs import list_tabs, make_request
 from service.proto.planner.v1.planner_pb2 import SimulationVerdict
@@ -64,6 +74,22 @@ class ScanOrder(Section):
 
 
 @checked(config=SECTION)
+class PictureOrder(Section):
+    """Of which camera a picture is wanted."""
+
+    camera: Name
+
+
+@checked(config=SECTION)
+class UnseenOrder(Section):
+    """What of which scan was not seen, by the robot that stood in it."""
+
+    scan: Name
+    robot: Name
+    posture: Name | None = None
+
+
+@checked(config=SECTION)
 class ChangesOrder(Section):
     """Which scan is to be compared with which earlier one, and the robot that stood in both."""
 
@@ -82,6 +108,14 @@ class DetectOrder(Section):
     at: Point
     kinds: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
     posture: Name | None = None
+
+
+@checked(config=SECTION)
+class MoveHitOrder(Section):
+    """By how far the operator moved a fit from where the scan shows it, in world axes [m]."""
+
+    hit: int
+    moved_m: Point
 
 
 @checked(config=SECTION)
@@ -144,11 +178,14 @@ class RobotOrder(Section):
     Attributes:
         revision: of the robot's state; ``stop`` is obeyed with any.
         speed: with ``speed``, share of real time.
+        link, offset_m: with ``shift``, a foot or hand, and the displacement of its target [m].
     """
 
-    command: Literal["pause", "resume", "stop", "abort", "speed", "release_control"]
+    command: Literal["pause", "resume", "stop", "abort", "speed", "shift", "release_control"]
     revision: int
     speed: float = 0.0
+    link: Annotated[str, Field(max_length=200)] = ""
+    offset_m: Annotated[tuple[float, ...], Field(max_length=3)] = ()
 
 
 @checked(config=SECTION)
@@ -183,7 +220,12 @@ async def _tabs(console: Console, session: OperatorSession, order: Nothing) -> A
         "tabs": list_tabs(),
         "robots": [{"name": robot.name, "postures": list(robot.postures)} for robot in robots],
         "scans": list_scans(console.settings.scans),
+        "cameras": [{"name": camera.name, "phases": camera.phases} for camera in console.settings.cameras],
     }
+
+
+async def _picture(console: Console, session: OperatorSession, order: PictureOrder) -> Any:
+    return await take_picture(console.settings.cameras, order.camera)
 
 
 async def _scan(console: Console, session: OperatorSession, order: ScanOrder) -> Any:
@@ -194,9 +236,17 @@ async def _changes(console: Console, session: OperatorSession, order: ChangesOrd
     return await compare_scans(console.settings.scans, order.scan, order.before, order.robot, order.posture)
 
 
+async def _unseen(console: Console, session: OperatorSession, order: UnseenOrder) -> Any:
+    return await show_unseen(console.settings.scans, order.scan, order.robot, order.posture)
+
+
 async def _detect(console: Console, session: OperatorSession, order: DetectOrder) -> Any:
     clouds = await upload_scan(session.client, console.settings.scans, order.scan, order.robot, order.posture)
     return await detect_at(session.client, session.hits, clouds, order.at, order.kinds)
+
+
+async def _move_hit(console: Console, session: OperatorSession, order: MoveHitOrder) -> Any:
+    return move_hit(session.hits, order.hit, order.moved_m)
 
 
 async def _plan(console: Console, session: OperatorSession, order: PlanOrder) -> Any:
@@ -226,7 +276,8 @@ async def _execute(console: Console, session: OperatorSession, order: ExecuteOrd
 
 
 async def _command(console: Console, session: OperatorSession, order: RobotOrder) -> Any:
-    return {"revision": await session.robot.command(order.command, order.revision, order.speed)}
+    shift = order.link, order.offset_m
+    return {"revision": await session.robot.command(order.command, order.revision, order.speed, *shift)}
 
 
 async def _acknowledge(console: Console, session: OperatorSession, order: AcknowledgeOrder) -> Any:
@@ -242,7 +293,10 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "tabs": PageOrder(Nothing, _tabs),
     "scan": PageOrder(ScanOrder, _scan),
     "changes": PageOrder(ChangesOrder, _changes),
+    "picture": PageOrder(PictureOrder, _picture),
+    "unseen": PageOrder(UnseenOrder, _unseen),
     "detect": PageOrder(DetectOrder, _detect),
+    "move_hit": PageOrder(MoveHitOrder, _move_hit),
     "plan": PageOrder(PlanOrder, _plan),
     "cancel": PageOrder(CancelOrder, _cancel),
     "take": PageOrder(TakeOrder, _take),

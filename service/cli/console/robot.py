@@ -120,7 +120,9 @@ class RobotSeat:
                     await asyncio.sleep(0.01)
         return taken.revision
 
-    async def command(self, order: str, revision: int, speed: float = 0.0) -> int:
+    async def command(
+        self, order: str, revision: int, speed: float = 0.0, link: str = "", offset_m: Sequence[float] = ()
+    ) -> int:
         """Give an order about the state of a revision, and return the revision after it.
 
         Raises:
@@ -136,7 +138,9 @@ class RobotSeat:
         if order == "release_control":
             self._lease = ""  # before the server tells that nobody has control
         try:
-            answer = await self._client.command(order, lease=lease, revision=revision, speed=speed)
+            answer = await self._client.command(
+                order, lease=lease, revision=revision, speed=speed, link=link, offset_m=offset_m
+            )
         except PlannerError:
             self._lease = lease
             raise
@@ -254,11 +258,13 @@ def describe_state(state: WatchResponse) -> dict[str, Any]:
         "findings": list(status.findings),
         "speed": status.speed,
         "last_order": status.last_order,
+        "shifts": {shift.link: list(shift.offset_m) for shift in status.shifts},
         "plan_id": plan.plan_id,
         "trajectory_sha256": plan.trajectory_sha256,
         "duration_s": plan.duration_s,
         "joint_names": list(plan.joint_names),
         "phases": list(plan.phases),
+        "shiftable": list(plan.shiftable),
         "control": name_holder(state.control),
     }
 

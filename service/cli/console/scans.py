@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,10 +18,15 @@ from service.errors import RequestError, shown, would_do
 from service.proto.planner.v1.planner_pb2 import CloudsSpec
 from service.proto.planner.v1.request_pb2 import CloudFile, Start
 from service.request.schema import RobotRequest, StartRequest
+from service.request.tasks.kind import LARGEST_MOVE_M
 from service.viewer.payload import quantize, thin_points
+
+if TYPE_CHECKING:
+    from service.scan.cloud import CloudRead
 
 MOST_SCANS = 200
 MOST_POINTS = 60_000
+MOST_UNSEEN = 20_000
 ROUND_ROBOT_M = 0.05  # points this near to the robot's shapes are its own
 MOST_HITS = 100  # that a session remembers
 
@@ -59,6 +65,16 @@ async def show_scan(
     path = find_scan(folders, name)
     cloud = thin_points(await asyncio.to_thread(_read_points, path, robot, posture), most_points)
     return {"name": name, "age_s": max(0.0, time.time() - path.stat().st_mtime), "cloud": quantize(cloud)}
+
+
+async def show_unseen(folders: Sequence[Path], name: str, robot: str, posture: str | None) -> dict[str, Any]:
+    """Return where the space that a scan has seen ends without a surface, packed for the page.
+
+    Raises:
+        RequestError: there is no such scan, or it cannot be read.
+    """
+    unseen = await asyncio.to_thread(_find_unseen, find_scan(folders, name), robot, posture)
+    return {"cells": quantize(thin_points(unseen, MOST_UNSEEN))}
 
 
 async def compare_scans(
@@ -118,14 +134,52 @@ async def detect_at(
                 "residuals": dict(found.residuals),
                 "doubts": list(found.doubts),
                 "points": quantize(np.empty((0, 3))),
+                "moved_m": [0.0, 0.0, 0.0],
             })  # fmt: skip
     hits.sort(key=lambda hit: -hit["confidence"])
     for hit in hits:
-        hit["hit"] = max(known, default=0) + 1
-        known[hit["hit"]] = hit
+        _keep_hit(known, hit)
+    return {"hits": hits, "notes": notes}
+
+
+def move_hit(known: dict[int, dict[str, Any]], number: int, moved_m: Sequence[float]) -> dict[str, Any]:
+    """Return a fit as the operator moved it, which is another object from then on.
+
+    Args:
+        known: objects that were found, by number; the moved one is added.
+        number: of the fit.
+        moved_m: displacement from where the scan shows it, in world axes [m].
+
+    Raises:
+        RequestError: the fit is not known any more, or the displacement is too large.
+    """
+    hit = find_hit(known, number)
+    size = math.hypot(*moved_m)
+    if size > LARGEST_MOVE_M:
+        raise RequestError(f"moved_m: {size:.3g} m; expected at most {LARGEST_MOVE_M:g} m, click again for farther")
+    pose = np.array(hit["pose_world_object"])
+    pose[:3, 3] += np.subtract(moved_m, hit["moved_m"])
+    moved = {**hit, "pose_world_object": pose.tolist(), "moved_m": list(moved_m)}
+    _keep_hit(known, moved)
+    return moved
+
+
+def find_hit(known: Mapping[int, dict[str, Any]], number: int) -> dict[str, Any]:
+    """Return an object that was found.
+
+    Raises:
+        RequestError: it is not known any more.
+    """
+    if number not in known:
+        raise RequestError(f"hit: object {number} is not known any more; click on it again")
+    return known[number]
+
+
+def _keep_hit(known: dict[int, dict[str, Any]], hit: dict[str, Any]) -> None:
+    hit["hit"] = max(known, default=0) + 1
+    known[hit["hit"]] = hit
     for old in sorted(known)[:-MOST_HITS]:
         del known[old]
-    return {"hits": hits, "notes": notes}
 
 
 async def upload_scan(
@@ -155,16 +209,33 @@ def _find_scans(folders: Sequence[Path]) -> dict[str, Path]:
 
 
 def _read_points(path: Path, robot: str, posture: str | None) -> np.ndarray:
-    """Return the points of a cloud file without those of a robot; one that only the server knows keeps its own."""
+    """Return the points of a cloud file without those of a robot."""
     from perception import inside_hulls
+
+    read = _read_cloud(path, robot, posture)
+    points = read.cloud.points
+    own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
+    return np.asarray(points[~own])
+
+
+def _read_cloud(path: Path, robot: str, posture: str | None) -> CloudRead:
+    """Read a cloud file and the robot that stood in it; one that only the server knows keeps its own points."""
     from service.scan.cloud import CloudInput, read_input
 
     clouds = CloudInput((path,))
     start = StartRequest() if posture is None else StartRequest(posture=posture)
     try:
-        read = read_input(replace(clouds, robot=RobotRequest(name=robot), start=start), lambda step: None)
+        return read_input(replace(clouds, robot=RobotRequest(name=robot), start=start), lambda step: None)
     except RequestError:
-        read = read_input(clouds, lambda step: None)
-    points = read.cloud.points
-    own = inside_hulls(points, read.hulls, ROUND_ROBOT_M) if len(read.hulls) else np.zeros(len(points), dtype=bool)
-    return np.asarray(points[~own])
+        return read_input(clouds, lambda step: None)
+
+
+def _find_unseen(path: Path, robot: str, posture: str | None) -> np.ndarray:
+    from perception import CloudError, list_unseen, make_view
+
+    read = _read_cloud(path, robot, posture)
+    try:
+        view = make_view(read.cloud, robot_hulls=read.hulls, soles=read.soles)
+    except CloudError as error:
+        raise RequestError(f"scan: {error}") from None
+    return list_unseen(view.cloud.rays, view.near.points, view.reach, view.floors, view.robot_hulls)

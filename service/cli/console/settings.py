@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from service.cli.console.cameras import CameraSource
 from service.viewer.html import DIST
 
 PROGRAM = "console"
@@ -20,6 +21,7 @@ class ConsoleSettings:
         target: the planning server, ``HOST:PORT`` or ``unix:PATH``.
         tls_ca, tls_cert, tls_key: TLS files for the connection to it, as for any client.
         scans: folders whose cloud files the page offers.
+        cameras: whose pictures stand beside the view.
     """
 
     target: str
@@ -27,6 +29,7 @@ class ConsoleSettings:
     tls_cert: Path | None = None
     tls_key: Path | None = None
     scans: tuple[Path, ...] = (Path(),)
+    cameras: tuple[CameraSource, ...] = ()
 
 
 @cache

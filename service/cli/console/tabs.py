@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from service.cli.console.scans import find_scan
+import numpy as np
+
+from service.cli.console.scans import find_hit, find_scan
 from service.cli.console.sessions import OperatorSession
 from service.errors import RequestError
 from service.request.file import parse_request
@@ -15,7 +17,7 @@ from service.request.task_files import TaskFile, find_task_file, list_task_paths
 from service.scan.bind import read_hit
 
 ANY_ROBOT = "atlas"  # stands in where a tab is read without a robot
-HINT = "hint"
+HINT, MOVED = "hint", "moved_m"
 
 
 class PlanFields(Protocol):
@@ -49,9 +51,7 @@ def make_request(session: OperatorSession, scans: Sequence[Path], order: PlanFie
     Raises:
         RequestError: there is no such task, scan or object, or its values do not fit.
     """
-    hit = None if order.hit is None else session.hits.get(order.hit)
-    if order.hit is not None and hit is None:
-        raise RequestError(f"hit: object {order.hit} is not known any more; click on it again")
+    hit = None if order.hit is None else find_hit(session.hits, order.hit)
     values = dict(order.values)
     if hit is not None:
         values = {**_read_parameters(order.task, hit), **values}
@@ -62,7 +62,7 @@ def make_request(session: OperatorSession, scans: Sequence[Path], order: PlanFie
         data["scene"] = {"cloud": str(find_scan(scans, order.scan))}
     used = use_task(data)
     if hit is not None:
-        used["task"] = _add_hint(used["task"], hit)
+        used["task"] = _add_place(used["task"], hit)
     return parse_request(used)
 
 
@@ -104,11 +104,19 @@ def _read_parameters(task: str, hit: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _add_hint(task: Any, hit: Mapping[str, Any]) -> Any:
-    """Return a task whose section says where its object is, if the section has a place for it and it is not filled."""
+def _add_place(task: Any, hit: Mapping[str, Any]) -> Any:
+    """Return a task whose section says where its object is, and how far the operator moved its fit.
+
+    A section without a place for it, or one that says so itself, stays as it is.
+    """
     section = parse_request({"robot": {"name": ANY_ROBOT}, "task": task}).section
-    is_open = hasattr(section, HINT) and getattr(section, HINT) is None
-    if not is_open or len(task) != 1:
+    name, given = next(iter(task.items()))
+    if len(task) != 1 or not isinstance(given, Mapping):
         return task
-    (name,) = task
-    return {name: {**task[name], HINT: [row[3] for row in hit["pose_world_object"][:3]]}}
+    given = dict(given)
+    if getattr(section, HINT, given) is None:
+        seen = np.array(hit["pose_world_object"])[:3, 3] - hit["moved_m"]
+        given[HINT] = seen.tolist()
+    if getattr(section, MOVED, given) is None and any(hit["moved_m"]):
+        given[MOVED] = hit["moved_m"]
+    return {name: given}

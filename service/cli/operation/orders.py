@@ -11,7 +11,7 @@ from service.cli.options import Json, ServerOptions
 from service.cli.run import consoles, print_json
 from service.errors import RequestError
 
-NEEDS_STATE = ("start", "pause", "resume", "abort", "speed")
+NEEDS_STATE = ("start", "pause", "resume", "abort", "speed", "shift")
 TAKES = {"take": False, "take-over": True}
 
 
@@ -19,7 +19,9 @@ TAKES = {"take": False, "take-over": True}
 def command_command(
     order: Annotated[
         str,
-        typer.Argument(help="take, take-over, release, start, pause, resume, stop, abort or speed.", metavar="ORDER"),
+        typer.Argument(
+            help="take, take-over, release, start, pause, resume, stop, abort, speed, shift.", metavar="ORDER"
+        ),
     ],
     server: ServerOptions,
     lease: Annotated[
@@ -30,12 +32,17 @@ def command_command(
         typer.Option(help="Of the state that you have seen; by default the present one.", show_default=False),
     ] = None,
     speed: Annotated[float, typer.Option(help="With speed: share of real time, 0.01 to 1.")] = 0.0,
+    link: Annotated[str, typer.Option(help="With shift: the foot or hand whose target is displaced.")] = "",
+    offset: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="With shift: from where the plan has it, in world axes, at most 0.3 m.", metavar="X Y Z"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Give the robot of a server an order, or take, take over or release its control.
 
     pause comes to rest and can be resumed; stop ends the execution where it is; abort goes back on the plan's own path
-    to the last pose in balance.
+    to the last pose in balance. What a shift makes of a plan is outside of its certificate.
     """
     from service.cli.connect import connect
 
@@ -53,7 +60,7 @@ def command_command(
                 seen = next(states).revision
                 states.close()
             name = "release_control" if order == "release" else order
-            made = client.command(name, lease=lease, revision=seen, speed=speed)
+            made = client.command(name, lease=lease, revision=seen, speed=speed, link=link, offset_m=offset or ())
     if as_json:
         print_json({"revision": made.revision, "lease": made.lease})
     elif made.lease:

@@ -15,6 +15,7 @@ from service.cli.command import command
 from service.errors import RequestError
 
 DEFAULT_LISTEN = "127.0.0.1:8080"
+CAMERA = "NAME[@WORD+WORD]=URL"
 
 
 @command()
@@ -27,6 +28,10 @@ def console_command(
         list[Path] | None,
         typer.Option(help="Folder with cloud files; may be given again. By default the working directory."),
     ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(help="Pictures beside the view, in phases with such words; may be given again.", metavar=CAMERA),
+    ] = None,
     tls_ca: Annotated[Path | None, typer.Option(help="Authority of the server's certificate (PEM).")] = None,
     tls_cert: Annotated[Path | None, typer.Option(help="Certificate of this console (PEM), if required.")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="Private key of that certificate (PEM).")] = None,
@@ -35,13 +40,13 @@ def console_command(
 
     Plans are judged and accepted there, and made of task files. Each operator logs in with a token of their own.
     """
-    from service.cli.console import ConsoleSettings, run_console
+    from service.cli.console import ConsoleSettings, parse_camera, run_console
 
     folders = tuple(scans or (Path(),))
     wrong = [folder for folder in folders if not folder.is_dir()]
     if wrong:
         raise RequestError(f"--scans {wrong[0]}: is no folder")
-    settings = ConsoleSettings(target, tls_ca, tls_cert, tls_key, folders)
+    settings = ConsoleSettings(target, tls_ca, tls_cert, tls_key, folders, tuple(map(parse_camera, camera or ())))
     run_console(settings, listen, lambda address: typer.echo(f"console at {address}"))
 
 
@@ -51,19 +56,23 @@ class ConsoleProcess:
     Args:
         listen: where the page is.
         scans: folders with cloud files.
+        cameras: as ``--camera`` of ``scopt console``.
 
     Raises:
         RequestError: the address cannot be used.
     """
 
-    def __init__(self, listen: str, scans: Sequence[Path]) -> None:
-        from service.cli.console import parse_listen
+    def __init__(self, listen: str, scans: Sequence[Path], cameras: Sequence[str] = ()) -> None:
+        from service.cli.console import parse_camera, parse_listen
 
         try:
             parse_listen(listen)
         except RequestError as error:
             raise RequestError([problem.replace("--listen", "--console") for problem in error.problems]) from None
+        for camera in cameras:
+            parse_camera(camera)
         self._arguments = ["--listen", listen, *(word for folder in scans for word in ("--scans", str(folder)))]
+        self._arguments += [word for camera in cameras for word in ("--camera", camera)]
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, address: str) -> None:

@@ -63,6 +63,9 @@ def serve_command(
     scans: Annotated[
         list[Path] | None, typer.Option(help="Folder with cloud files for the page; may be given again.")
     ] = None,
+    camera: Annotated[
+        list[str] | None, typer.Option(help="Pictures for the page; as for scopt console.", metavar="NAME[@WORD]=URL")
+    ] = None,
     robot: Annotated[
         str,
         typer.Option(
@@ -133,7 +136,7 @@ def serve_command(
         return
     from service.cli.server.console import ConsoleProcess
 
-    with ConsoleProcess(console, scans or ()) as page:
+    with ConsoleProcess(console, scans or (), camera or ()) as page:
         is_secure = tls_cert is not None
         if is_secure and socket is None:
             raise RequestError("--console: with TLS it reaches the server by --socket PATH; give that too")

@@ -31,7 +31,10 @@ class DoorDemandPart(DemandPart[DoorRequest]):
         geometry = choose_door(section, shown.doors, _find_base(world.robot, world.start), world.scene.pieces)
         if isinstance(geometry, str):
             raise RequestError(f"task.door: {geometry}")
-        door = set_back(make_door(section, geometry, shown.seen if section.leaf is None else None), resume)
+        door = set_back(
+            make_door(section, geometry, shown.seen if section.leaf is None and section.moved_m is None else None),
+            resume,
+        )
         opening = DoorDemand(door, section, world.robot)
         return MechanismDemand(opening if resume is None else make_door_rest(opening, resume))
 

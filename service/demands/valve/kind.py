@@ -25,7 +25,9 @@ class ValveDemandPart(DemandPart[ValveRequest]):
         valve = given or next(iter(shown.valves), None)
         if valve is None:
             raise RequestError("task.valve: the scene shows no valve")
-        wheel = make_wheel(turn_back(valve, resume), section, shown.seen if given is None else None)
+        wheel = make_wheel(
+            turn_back(valve, resume), section, shown.seen if given is None and section.moved_m is None else None
+        )
         hands, friction = list_robot_hands(world.robot), world.request.options.hand_friction[1]
         turning = ValveDemand(wheel, section, hands, friction)
         return MechanismDemand(turning if resume is None else make_valve_rest(turning, resume))

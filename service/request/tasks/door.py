@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Number, Point, Section
-from service.request.tasks.kind import MovedNames, TaskSection
+from service.request.tasks.kind import MovedNames, TaskSection, check_moved
 
 DOOR = "door"  # its links are DOOR/...
 LEAF_JOINT, HANDLE_JOINT = "door_opening", "door_handle"
@@ -94,6 +94,7 @@ class DoorRequest(TaskSection):
         hinge_nm: torque that opens the leaf against its closer or the wind.
         push_bar_n: force that presses a push bar.
         stays: whether the hand stays on the leaf at the end (against a door closer).
+        moved_m: displacement of the detected door in world axes, by which a person corrected it [m].
     """
 
     hand: Literal["left", "right", "auto"] = "auto"
@@ -109,8 +110,10 @@ class DoorRequest(TaskSection):
     push_bar_n: Annotated[Number, Field(ge=0.0, le=300.0)] = 67.0
     stays: bool = False
     hinge: Literal["left", "right", "auto"] = "auto"
+    moved_m: Point | None = None
 
     def __post_init__(self) -> None:
+        check_moved(self.moved_m, "" if self.leaf is None else "leaf")
         if self.handle is not None and self.leaf is None:
             raise PydanticCustomError("door", "handle is given without leaf; a handle belongs to a leaf that is given")
         if self.leaf is not None and self.hinge != "auto":

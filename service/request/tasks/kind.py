@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
+
+from pydantic_core import PydanticCustomError
 
 from service.request.fields import Point, Section
 
@@ -24,6 +27,30 @@ class MovedNames:
 
     mechanism: str
     joints: tuple[str, ...] = ()
+
+
+LARGEST_MOVE_M = 0.3  # by which a person corrects where a scan shows an object
+
+
+def check_moved(moved_m: Point | None, given: str) -> None:
+    """Refuse a correction of an object that the request gives itself, or that is too large.
+
+    Args:
+        moved_m: displacement of what the scan shows, in world axes [m].
+        given: field that gives the object; empty where the scan shows it.
+
+    Raises:
+        PydanticCustomError: one line that names the field.
+    """
+    if moved_m is None:
+        return
+    if given:
+        raise PydanticCustomError("moved", f"moved_m is for an object that a scan shows; correct {given} instead")
+    if math.hypot(*moved_m) > LARGEST_MOVE_M:
+        raise PydanticCustomError(
+            "moved",
+            f"moved_m: {math.hypot(*moved_m):.3g} m; expected at most {LARGEST_MOVE_M:g} m from the detected object",
+        )
 
 
 class TaskSection(Section):

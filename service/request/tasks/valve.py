@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.request.fields import SECTION, Number, Point, at_most
-from service.request.tasks.kind import MovedNames, TaskSection
+from service.request.tasks.kind import MovedNames, TaskSection, check_moved
 from service.request.tasks.lever import LeverRequest, check_lever
 
 VALVE_JOINT, VALVE_LINK = "valve_turn", "valve"
@@ -37,6 +37,7 @@ class ValveRequest(TaskSection):
         lever: bar of a lever valve or of a crank, whose spindle is at ``centre`` along ``axis``.
         stops_deg: least and largest angle of a lever from where it is, counted like ``turn_deg``; by default a lever
             stops after a quarter turn, and a crank turns freely.
+        moved_m: displacement of the detected valve in world axes, by which a person corrected it [m].
     """
 
     mode: Literal["hook", "grasp"] = "hook"
@@ -53,8 +54,10 @@ class ValveRequest(TaskSection):
     stuck: bool = False
     lever: LeverRequest | None = None
     stops_deg: tuple[Number, Number] | None = None
+    moved_m: Point | None = None
 
     def __post_init__(self) -> None:
+        check_moved(self.moved_m, "" if self.centre is None else "centre")
         check_lever(self.lever, self.stops_deg, self.turn_deg, self.radius, self.axis)
         if self.turn_deg == 0.0:
             raise PydanticCustomError("valve", "turn_deg is 0: nothing to do; expected -1440 to 1440 except 0")

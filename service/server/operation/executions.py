@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import tempfile
 import time
 from collections.abc import AsyncIterator, Mapping
@@ -28,7 +29,7 @@ from service.server.operation.checks import (
 from service.server.operation.control import Lease, RobotControl, refuse
 from service.server.plan_files import read_files
 from service.server.refusals import refuse_invalid
-from service.store import DIRECT, Store
+from service.store import DIRECT, PlanRecord, Store
 from service.telemetry import bind
 from service.trust import current_caller
 from service.trust.rpc import Context
@@ -39,6 +40,7 @@ from service.work.robot.process import HOLD
 _LOG = structlog.get_logger("scopt.robot")
 NO_ROBOT = "the server has no robot; start it with --robot, such as --robot sim"
 START_TOLERANCE, MAX_START_TOLERANCE = 0.05, 0.1  # of a joint from the plan's start [rad, m]
+PROVEN_S = 60.0  # after which a direct move is verified again before it is carried out
 RATE_HZ, MAX_RATE_HZ = 10.0, 50.0  # of poses in Watch
 MAX_STATION = 60  # characters
 CONTROL_ORDERS = (wire.ORDER_TAKE_CONTROL, wire.ORDER_TAKE_OVER, wire.ORDER_RELEASE_CONTROL)
@@ -49,6 +51,7 @@ ORDERS = {
     wire.ORDER_STOP: "stop",
     wire.ORDER_ABORT: "abort",
     wire.ORDER_SPEED: "speed",
+    wire.ORDER_SHIFT: "shift",
 }
 PARTS = ("status", "plan", "control", "pose")
 
@@ -81,6 +84,7 @@ class ExecutionHandlers:
     def __init__(self, settings: RobotSettings, store: Store) -> None:
         self._settings = settings
         self._store = store
+        self._begun = time.time()
         self._numbers = dict.fromkeys(PARTS, 0)  # of the last change of each part
         self._changed = asyncio.Event()
         self._control = RobotControl(lambda: self._note("control"), self._leave_alone)
@@ -117,8 +121,7 @@ class ExecutionHandlers:
         bind(plan_id=record.plan_id)
         check_plan(record, message.trajectory_sha256)
         now = time.time()
-        needs_approval = self._settings.requires_approval
-        is_required = not robot.is_simulated if needs_approval is None else needs_approval
+        is_required = self._needs_approval(robot)
         reviews = self._store.reviews.find(record.plan_id)
         check_approval(record.plan_id, reviews, message.approval, is_required, now, is_direct=record.kind == DIRECT)
         files = await asyncio.to_thread(read_files, self._store, record.plan_id)
@@ -141,6 +144,7 @@ class ExecutionHandlers:
                     start_tolerance=tolerance,
                     waits_for_start=message.waits_for_start,
                     is_placed=message.is_placed,
+                    is_proven=self._is_just_proven(record, now),
                     by=f"execute by {lease.holder}",
                 )
             )
@@ -175,7 +179,11 @@ class ExecutionHandlers:
             by = f"{ORDERS[order]} by {lease.holder}"
         if order == wire.ORDER_SPEED and not 0.01 <= message.speed <= 1.0:
             raise refuse_invalid([f"speed: expected 0.01 to 1, got {message.speed:g}"])
-        await _or_refuse(robot.order(ORDERS[order], by=by, speed=message.speed))
+        values: dict[str, Any] = {"speed": message.speed}
+        if order == wire.ORDER_SHIFT:
+            self._check_shift(robot, message)
+            values = {"link": message.link, "offset_m": list(message.offset_m)}
+        await _or_refuse(robot.order(ORDERS[order], by=by, **values))
         _LOG.info("order obeyed", order=by)
         return wire.CommandResponse(revision=control.revision)
 
@@ -273,6 +281,24 @@ class ExecutionHandlers:
         except ExecutionError as error:
             _LOG.warning("the robot was not paused", reason=str(error))
 
+    def _is_just_proven(self, record: PlanRecord, now: float) -> bool:
+        """Return whether this server certified a direct move itself, moments ago; its store keeps it as it was."""
+        return record.kind == DIRECT and self._begun <= record.created and now - record.created <= PROVEN_S
+
+    def _needs_approval(self, robot: RobotProcess) -> bool:
+        required = self._settings.requires_approval
+        return not robot.is_simulated if required is None else required
+
+    def _check_shift(self, robot: RobotProcess, message: wire.CommandRequest) -> None:
+        """Refuse a displaced target that nobody can have accepted, or that is no displacement."""
+        if len(message.offset_m) != 3 or not all(map(math.isfinite, message.offset_m)):
+            raise refuse_invalid([f"offset_m: expected three finite numbers [m], got {list(message.offset_m)}"])
+        if self._needs_approval(robot):
+            raise refuse(
+                "shift: this server's robot carries out accepted plans only, and the certificate of none covers a "
+                "displaced target; scopt serve --no-require-approval allows it"
+            )
+
     def _require_robot(self) -> RobotProcess:
         if self._robot is None:
             raise refuse(NO_ROBOT)
@@ -316,7 +342,8 @@ def _caller_name(station: str) -> str:
 
 
 def _status_to_message(status: Mapping[str, Any]) -> wire.ExecutionStatus:
-    return wire.ExecutionStatus(**{**status, "mode": f"EXECUTION_MODE_{status['mode'].upper()}"})
+    shifts = [wire.ShiftedTarget(link=link, offset_m=offset) for link, offset in status.get("shifts", {}).items()]
+    return wire.ExecutionStatus(**{**status, "mode": f"EXECUTION_MODE_{status['mode'].upper()}", "shifts": shifts})
 
 
 def _plan_to_message(plan: Mapping[str, Any]) -> wire.LoadedPlan:

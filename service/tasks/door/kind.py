@@ -72,10 +72,7 @@ class DoorPlanPart(PlanPart[DoorRequest]):
             return replace(request, task=TaskRequest(door=given)), around
         if around is None or not around.doors:
             raise RequestError("adjust: the earlier plan recorded no door")
-        seen = around.doors[0].geometry
-        grip = None if seen.handle is None else replace(seen.handle, centre=seen.handle.centre + offset)
-        first = replace(around.doors[0], geometry=replace(seen, hinge=seen.hinge + offset, handle=grip))
-        return request, replace(around, doors=(first, *around.doors[1:]))
+        return request, around.move_door(offset)
 
 
 PART = DoorPlanPart()

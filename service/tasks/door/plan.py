@@ -180,7 +180,8 @@ def find_door(setup: PlanSetup, request: DoorRequest) -> tuple[Door, str] | str:
     geometry = choose_door(request, doors, base, pieces)
     if isinstance(geometry, str):
         return geometry
-    door = make_door(request, geometry, setup.surroundings.seen if request.leaf is None else None)
+    is_shown = request.leaf is None and request.moved_m is None
+    door = make_door(request, geometry, setup.surroundings.seen if is_shown else None)
     is_told = request.opens != "auto" or request.leaf is not None or doors[0].geometry.opens is not None
     other = "pull" if geometry.opens == "push" else "push"
     return door, describe_door(door) + ("" if is_told else f"; a {other} would meet its frame at once")

@@ -24,7 +24,6 @@ from service.tasks.valve.stance import ValveStance
 from service.verify import CircleTarget
 
 TARGET = "valve"
-STEM = "stem"  # kind of the piece behind a wheel, which goes with it
 
 
 class ValvePlanPart(PlanPart[ValveRequest]):
@@ -72,11 +71,7 @@ class ValvePlanPart(PlanPart[ValveRequest]):
             return replace(request, task=TaskRequest(valve=given)), around
         if around is None or not around.valves:
             raise RequestError("adjust: the earlier plan recorded no valve")
-        first = replace(around.valves[0], centre=around.valves[0].centre + offset)
-        pieces = tuple(
-            replace(piece, vertices=piece.vertices + offset) if piece.kind == STEM else piece for piece in around.pieces
-        )
-        return request, replace(around, pieces=pieces, valves=(first, *around.valves[1:]))
+        return request, around.move_valve(offset)
 
 
 PART = ValvePlanPart()

@@ -77,7 +77,8 @@ def plan_valve(setup: PlanSetup, solver: PhaseSolver, request: ValveRequest) -> 
         yield TaskPlan(solver.body, (), (refused,))
         return
     hands = choose_hands(solver.body, request, valve)
-    seen = setup.surroundings.seen if read_given_valve(request) is None else None
+    is_shown = read_given_valve(request) is None and request.moved_m is None
+    seen = setup.surroundings.seen if is_shown else None
     wheel = make_wheel(valve, request, seen)
     reasons = [find_out_of_reach(solver.body, hand.tool, valve.centre, valve.rim_radius) for hand in hands]
     if all(reasons):

@@ -17,7 +17,7 @@ from service.result.folder import read_result
 from service.result.motion_json import file_columns, file_positions, sample_times, samples_of
 from service.simulation.stand import read_recorded_request
 from service.start.robot import resolve_stiffness
-from service.verify import Motion
+from service.verify import Motion, find_mechanism_joints
 from service.wire.hashes import hash_trajectory
 
 
@@ -40,14 +40,19 @@ class LoadedPlan:
     scene_sha256: str
 
 
-def load_plan(folder: Path, trajectory_sha256: str) -> LoadedPlan:
+def load_plan(folder: Path, trajectory_sha256: str, *, is_proven: bool = False) -> LoadedPlan:
     """Read a result folder, verify its motion, and compare its curve with that which the operator has seen.
+
+    Args:
+        folder: of the result.
+        trajectory_sha256: of the curve that the operator has seen.
+        is_proven: whether the service has just certified these very files itself; they are not verified again then.
 
     Raises:
         ExecutionError, ResultError, RequestError: one sentence: it is not certified now, is another plan, or cannot be
             carried out.
     """
-    reference = read_certified(folder)
+    reference = PlannedReference.read(folder) if is_proven else read_certified(folder)
     found = hash_motion(reference.motion)
     if found != trajectory_sha256:
         raise ExecutionError(
@@ -61,6 +66,10 @@ def load_plan(folder: Path, trajectory_sha256: str) -> LoadedPlan:
 
 
 def hash_motion(motion: Motion) -> str:
-    """Return the hash of a motion's samples, as results state it."""
+    """Return the hash of a motion's samples, as results state it: of the robot alone, without what it moves."""
+    model = motion.robot.model
+    n_moved = sum(int(model.joints[joint].nv) for joint in find_mechanism_joints(motion))  # the last columns
+    names = file_columns(motion.robot)
     positions = file_positions(motion.robot, motion.curve(samples_of(motion))[:, : motion.robot.n])
-    return hash_trajectory(file_columns(motion.robot), sample_times(motion), positions)
+    n_own = len(names) - n_moved
+    return hash_trajectory(names[:n_own], sample_times(motion), positions[:, :n_own])

@@ -23,7 +23,7 @@ from service.work.robot.robot import Robot
 POSE_PERIOD_S = 0.02  # between two reports of a pose
 IDLE_WAIT_S = 0.05  # for orders while nothing is carried out
 ORDERS = {"pause": Order.PAUSE, "stop": Order.STOP, "abort": Order.ABORT, "resume": Order.RESUME}
-IDLE = {"mode": "idle", "phase": "", "reason": "", "findings": [], "speed": 1.0, "last_order": ""}
+IDLE = {"mode": "idle", "phase": "", "reason": "", "findings": [], "speed": 1.0, "last_order": "", "shifts": {}}
 Message = Mapping[str, Any]
 
 
@@ -107,6 +107,8 @@ class Runner:
                 return None
             if order == "loaded":
                 self._begin(message)
+            elif order == "shift":
+                self._shift(message)
             elif order == "speed":
                 self._require_execution("speed").set_speed(float(message["speed"]))
                 self._last_order = message["by"]
@@ -119,6 +121,14 @@ class Runner:
             "error": "",
             "trajectory_sha256": self._plan.trajectory_sha256 if self._plan else "",
         }
+
+    def _shift(self, message: Message) -> None:
+        execution = self._require_execution("shift")
+        if execution.state.is_over or self._waits_for_start:
+            mode = "ready" if self._waits_for_start else execution.state.mode.value
+            raise ExecutionError(f"shift: the execution is {mode}; expected one that runs or is paused")
+        execution.shift(message["link"], np.array(message["offset_m"], dtype=float))
+        self._last_order = message["by"]
 
     def _order(self, order: str, by: str) -> None:
         execution = self._require_execution(order)
@@ -150,7 +160,7 @@ class Runner:
         return execution is not None and not execution.state.is_over and execution.state.mode is not Mode.PAUSED
 
     def _begin_loading(self, message: Message) -> None:
-        """Read and verify a plan in a thread, while the robot holds its pose; ``loaded`` follows."""
+        """Read a plan in a thread, verify it unless the service just did, and hold the pose; ``loaded`` follows."""
         if self._is_loading:
             raise ExecutionError("another plan is being loaded")
         if self._execution is not None and not self._execution.state.is_over:
@@ -162,7 +172,9 @@ class Runner:
         def load() -> None:
             loaded: dict[str, Any] = {**message, "order": "loaded", "error": "", "plan": None}
             try:
-                loaded["plan"] = load_plan(Path(message["folder"]), message["trajectory_sha256"])
+                loaded["plan"] = load_plan(
+                    Path(message["folder"]), message["trajectory_sha256"], is_proven=message.get("is_proven", False)
+                )
             except ServiceError as error:
                 loaded["error"] = str(error)
             except Exception as error:  # the loop must go on whatever a plan's files do to its reader
@@ -200,6 +212,7 @@ class Runner:
                 "joint_names": list(driver.joint_names),
                 "unwatched": list(execution.watch.list_unwatched()),
                 "guards": execution.watch.describe(),
+                "shiftable": list(execution.controller.links),
             }
         })  # fmt: skip
 
@@ -234,6 +247,7 @@ class Runner:
                 "phase": execution.reference.phases[state.phase].name,
                 "reason": "" if is_ready else state.reason,
                 "speed": execution.machine.settings.speed,
+                "shifts": {link: shift.goal.tolist() for link, shift in execution.shifts.items() if shift.goal.any()},
             }
             if execution.is_lost:
                 status["mode"] = "lost"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,12 +16,15 @@ from service.execution.driver import JointCommand, RobotDriver, RobotReading
 from service.execution.reference import PlannedReference
 from service.simulation.model import import_mujoco
 from service.simulation.options import SimulationOptions
+from service.simulation.pictures import VIEWS, CameraPicture, CameraRenderer
 from service.simulation.robot import SimulatedRobot
 from service.simulation.stand import read_recorded_request, stand_in_physics
+from service.work.robot.pictures import PictureServer, Take
 from service.work.robot.robot import read_options
 
-# Share of real time (0: as fast as it goes), time between two commands, and the options of ``scopt simulate``.
-DEFAULTS = {"pace": 1.0, "period_ms": 4.0, "noise": 0.0, "perturb": 0.0, "seed": 0.0}
+# Share of real time (0: as fast as it goes), time between two commands, port of camera pictures (0: none), and the
+# options of ``scopt simulate``.
+DEFAULTS = {"pace": 1.0, "period_ms": 4.0, "pictures": 0.0, "noise": 0.0, "perturb": 0.0, "seed": 0.0}
 _LATE_S = 0.1  # by which a slow machine falls behind before the clock is set anew
 
 
@@ -60,6 +64,9 @@ class SimulatedStation:
     def __init__(self, pace: float, steps: int, options: SimulationOptions) -> None:
         self._pace, self._steps, self._options = pace, steps, options
         self._robot: SimulatedRobot | None = None
+        self._seen: tuple[SimulatedRobot, PlannedReference] | None = None
+        self._phase = 0
+        self._pictures: PictureServer | None = None
 
     def drive(self, reference: PlannedReference, folder: Path, is_placed: bool, tolerance: float) -> RobotDriver:
         """Return the robot in the world of a plan: where it stood, or at the plan's start the first time."""
@@ -68,7 +75,25 @@ class SimulatedStation:
             start = self._stand(self._robot, reference, tolerance)
         request = read_recorded_request(folder)
         self._robot = stand_in_physics(reference, request, self._options, self._steps, start)
+        self._seen, self._phase = (self._robot, reference), 0
         return PacedRobot(self._robot, self._pace)
+
+    def serve_pictures(self, port: int) -> None:
+        """Serve pictures of the robot's cameras at a port of this machine (RequestError: it is in use)."""
+        self._pictures = PictureServer(port, self._make_camera)
+
+    def _make_camera(self) -> Take:
+        renderer = CameraRenderer()
+
+        def take(name: str) -> CameraPicture:
+            if name not in VIEWS:
+                raise KeyError(name)
+            if self._seen is None:
+                raise ExecutionError("the robot has carried out no plan yet; there is nothing to see")
+            robot, reference = self._seen
+            return renderer.render(name, robot, reference, min(self._phase, len(reference.phases) - 1))
+
+        return take
 
     def _stand(self, robot: SimulatedRobot, reference: PlannedReference, tolerance: float) -> np.ndarray:
         """Return the plan's first configuration with the joints and the base of a robot that stands.
@@ -105,6 +130,7 @@ class SimulatedStation:
 
     def follow(self, phase: int) -> None:
         """Close and open grippers as the phase has them."""
+        self._phase = phase
         if self._robot is not None:
             self._robot.hold_grips(phase)
 
@@ -114,16 +140,25 @@ class SimulatedStation:
 
     def close(self) -> None:
         """Forget the robot."""
-        self._robot = None
+        self._robot = self._seen = None
+        if self._pictures is not None:
+            self._pictures.close()
 
 
 def open_simulated(options: Mapping[str, str]) -> SimulatedStation:
     """Open the robot ``sim`` (RequestError: a wrong option; ResultError: MuJoCo is not installed)."""
-    import_mujoco()
     values = read_options("sim", options, DEFAULTS)
+    if values["pictures"]:
+        os.environ.setdefault("MUJOCO_GL", "egl")  # read as mujoco is imported; there may be no display
+    import_mujoco()
     if not 1.0 <= values["period_ms"] <= 20.0 or values["pace"] < 0.0:
         raise RequestError(
             f"--robot sim: period_ms {values['period_ms']:g}, pace {values['pace']:g}; expected 1 to 20, and 0 or more"
         )
     physics = replace(SimulationOptions(), noise=values["noise"], perturb=values["perturb"], seed=int(values["seed"]))
-    return SimulatedStation(values["pace"], round(values["period_ms"]), physics)
+    station = SimulatedStation(values["pace"], round(values["period_ms"]), physics)
+    if values["pictures"]:
+        if not 1.0 <= values["pictures"] <= 65535.0:
+            raise RequestError(f"--robot sim: pictures {values['pictures']:g}; expected a port, 1 to 65535")
+        station.serve_pictures(int(values["pictures"]))
+    return station

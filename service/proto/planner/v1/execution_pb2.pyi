@@ -22,6 +22,7 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_TAKE_CONTROL: _ClassVar[Order]
     ORDER_TAKE_OVER: _ClassVar[Order]
     ORDER_RELEASE_CONTROL: _ClassVar[Order]
+    ORDER_SHIFT: _ClassVar[Order]
 
 class ExecutionMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -48,6 +49,7 @@ ORDER_SPEED: Order
 ORDER_TAKE_CONTROL: Order
 ORDER_TAKE_OVER: Order
 ORDER_RELEASE_CONTROL: Order
+ORDER_SHIFT: Order
 EXECUTION_MODE_UNSPECIFIED: ExecutionMode
 EXECUTION_MODE_IDLE: ExecutionMode
 EXECUTION_MODE_LOADING: ExecutionMode
@@ -95,18 +97,22 @@ class ExecuteResponse(_message.Message):
     def __init__(self, revision: _Optional[int] = ..., trajectory_sha256: _Optional[str] = ...) -> None: ...
 
 class CommandRequest(_message.Message):
-    __slots__ = ("order", "expected_revision", "lease", "speed", "station")
+    __slots__ = ("order", "expected_revision", "lease", "speed", "station", "link", "offset_m")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     EXPECTED_REVISION_FIELD_NUMBER: _ClassVar[int]
     LEASE_FIELD_NUMBER: _ClassVar[int]
     SPEED_FIELD_NUMBER: _ClassVar[int]
     STATION_FIELD_NUMBER: _ClassVar[int]
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_M_FIELD_NUMBER: _ClassVar[int]
     order: Order
     expected_revision: int
     lease: str
     speed: float
     station: str
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., expected_revision: _Optional[int] = ..., lease: _Optional[str] = ..., speed: _Optional[float] = ..., station: _Optional[str] = ...) -> None: ...
+    link: str
+    offset_m: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., expected_revision: _Optional[int] = ..., lease: _Optional[str] = ..., speed: _Optional[float] = ..., station: _Optional[str] = ..., link: _Optional[str] = ..., offset_m: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class CommandResponse(_message.Message):
     __slots__ = ("revision", "lease")
@@ -143,23 +149,33 @@ class WatchResponse(_message.Message):
     def __init__(self, revision: _Optional[int] = ..., is_snapshot: bool = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., status: _Optional[_Union[ExecutionStatus, _Mapping]] = ..., plan: _Optional[_Union[LoadedPlan, _Mapping]] = ..., control: _Optional[_Union[ControlHolder, _Mapping]] = ..., pose: _Optional[_Union[RobotPose, _Mapping]] = ...) -> None: ...
 
 class ExecutionStatus(_message.Message):
-    __slots__ = ("mode", "phase", "reason", "findings", "speed", "last_order")
+    __slots__ = ("mode", "phase", "reason", "findings", "speed", "last_order", "shifts")
     MODE_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     FINDINGS_FIELD_NUMBER: _ClassVar[int]
     SPEED_FIELD_NUMBER: _ClassVar[int]
     LAST_ORDER_FIELD_NUMBER: _ClassVar[int]
+    SHIFTS_FIELD_NUMBER: _ClassVar[int]
     mode: ExecutionMode
     phase: str
     reason: str
     findings: _containers.RepeatedScalarFieldContainer[str]
     speed: float
     last_order: str
-    def __init__(self, mode: _Optional[_Union[ExecutionMode, str]] = ..., phase: _Optional[str] = ..., reason: _Optional[str] = ..., findings: _Optional[_Iterable[str]] = ..., speed: _Optional[float] = ..., last_order: _Optional[str] = ...) -> None: ...
+    shifts: _containers.RepeatedCompositeFieldContainer[ShiftedTarget]
+    def __init__(self, mode: _Optional[_Union[ExecutionMode, str]] = ..., phase: _Optional[str] = ..., reason: _Optional[str] = ..., findings: _Optional[_Iterable[str]] = ..., speed: _Optional[float] = ..., last_order: _Optional[str] = ..., shifts: _Optional[_Iterable[_Union[ShiftedTarget, _Mapping]]] = ...) -> None: ...
+
+class ShiftedTarget(_message.Message):
+    __slots__ = ("link", "offset_m")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_M_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    offset_m: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, link: _Optional[str] = ..., offset_m: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class LoadedPlan(_message.Message):
-    __slots__ = ("plan_id", "trajectory_sha256", "certificate_sha256", "scene_sha256", "phases", "duration_s", "joint_names", "unwatched", "guards_json")
+    __slots__ = ("plan_id", "trajectory_sha256", "certificate_sha256", "scene_sha256", "phases", "duration_s", "joint_names", "unwatched", "guards_json", "shiftable")
     PLAN_ID_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_SHA256_FIELD_NUMBER: _ClassVar[int]
     CERTIFICATE_SHA256_FIELD_NUMBER: _ClassVar[int]
@@ -169,6 +185,7 @@ class LoadedPlan(_message.Message):
     JOINT_NAMES_FIELD_NUMBER: _ClassVar[int]
     UNWATCHED_FIELD_NUMBER: _ClassVar[int]
     GUARDS_JSON_FIELD_NUMBER: _ClassVar[int]
+    SHIFTABLE_FIELD_NUMBER: _ClassVar[int]
     plan_id: str
     trajectory_sha256: str
     certificate_sha256: str
@@ -178,7 +195,8 @@ class LoadedPlan(_message.Message):
     joint_names: _containers.RepeatedScalarFieldContainer[str]
     unwatched: _containers.RepeatedScalarFieldContainer[str]
     guards_json: str
-    def __init__(self, plan_id: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., scene_sha256: _Optional[str] = ..., phases: _Optional[_Iterable[str]] = ..., duration_s: _Optional[float] = ..., joint_names: _Optional[_Iterable[str]] = ..., unwatched: _Optional[_Iterable[str]] = ..., guards_json: _Optional[str] = ...) -> None: ...
+    shiftable: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, plan_id: _Optional[str] = ..., trajectory_sha256: _Optional[str] = ..., certificate_sha256: _Optional[str] = ..., scene_sha256: _Optional[str] = ..., phases: _Optional[_Iterable[str]] = ..., duration_s: _Optional[float] = ..., joint_names: _Optional[_Iterable[str]] = ..., unwatched: _Optional[_Iterable[str]] = ..., guards_json: _Optional[str] = ..., shiftable: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ControlHolder(_message.Message):
     __slots__ = ("name", "station", "since", "is_present")

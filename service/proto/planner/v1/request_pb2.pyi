@@ -1049,7 +1049,7 @@ class ContactPlace(_message.Message):
     def __init__(self, surface: _Optional[str] = ..., at: _Optional[_Iterable[float]] = ..., yaw_deg: _Optional[float] = ..., slack_m: _Optional[float] = ...) -> None: ...
 
 class Valve(_message.Message):
-    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg")
+    __slots__ = ("mode", "hand", "turn_deg", "hint", "centre", "axis", "radius", "torque_nm", "sense", "stuck", "spokes_deg", "spoke_width_m", "lever", "stops_deg", "moved_m")
     MODE_FIELD_NUMBER: _ClassVar[int]
     HAND_FIELD_NUMBER: _ClassVar[int]
     TURN_DEG_FIELD_NUMBER: _ClassVar[int]
@@ -1064,6 +1064,7 @@ class Valve(_message.Message):
     SPOKE_WIDTH_M_FIELD_NUMBER: _ClassVar[int]
     LEVER_FIELD_NUMBER: _ClassVar[int]
     STOPS_DEG_FIELD_NUMBER: _ClassVar[int]
+    MOVED_M_FIELD_NUMBER: _ClassVar[int]
     mode: HoldMode
     hand: Hand
     turn_deg: float
@@ -1078,7 +1079,8 @@ class Valve(_message.Message):
     spoke_width_m: float
     lever: Lever
     stops_deg: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ..., lever: _Optional[_Union[Lever, _Mapping]] = ..., stops_deg: _Optional[_Iterable[float]] = ...) -> None: ...
+    moved_m: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, mode: _Optional[_Union[HoldMode, str]] = ..., hand: _Optional[_Union[Hand, str]] = ..., turn_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., centre: _Optional[_Iterable[float]] = ..., axis: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., torque_nm: _Optional[float] = ..., sense: _Optional[_Union[TurnSense, str]] = ..., stuck: bool = ..., spokes_deg: _Optional[_Iterable[float]] = ..., spoke_width_m: _Optional[float] = ..., lever: _Optional[_Union[Lever, _Mapping]] = ..., stops_deg: _Optional[_Iterable[float]] = ..., moved_m: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Lever(_message.Message):
     __slots__ = ("direction", "length_m", "radius_m", "grip_m")
@@ -1093,7 +1095,7 @@ class Lever(_message.Message):
     def __init__(self, direction: _Optional[_Iterable[float]] = ..., length_m: _Optional[float] = ..., radius_m: _Optional[float] = ..., grip_m: _Optional[float] = ...) -> None: ...
 
 class Door(_message.Message):
-    __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays", "hinge")
+    __slots__ = ("hand", "open_deg", "hint", "opens", "leaf", "handle", "release_deg", "press_m", "lever_nm", "hinge_nm", "push_bar_n", "stays", "hinge", "moved_m")
     HAND_FIELD_NUMBER: _ClassVar[int]
     OPEN_DEG_FIELD_NUMBER: _ClassVar[int]
     HINT_FIELD_NUMBER: _ClassVar[int]
@@ -1107,6 +1109,7 @@ class Door(_message.Message):
     PUSH_BAR_N_FIELD_NUMBER: _ClassVar[int]
     STAYS_FIELD_NUMBER: _ClassVar[int]
     HINGE_FIELD_NUMBER: _ClassVar[int]
+    MOVED_M_FIELD_NUMBER: _ClassVar[int]
     hand: Hand
     open_deg: float
     hint: _containers.RepeatedScalarFieldContainer[float]
@@ -1120,7 +1123,8 @@ class Door(_message.Message):
     push_bar_n: float
     stays: bool
     hinge: HingeSide
-    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., opens: _Optional[_Union[Opens, str]] = ..., leaf: _Optional[_Union[Leaf, _Mapping]] = ..., handle: _Optional[_Union[Handle, _Mapping]] = ..., release_deg: _Optional[float] = ..., press_m: _Optional[float] = ..., lever_nm: _Optional[float] = ..., hinge_nm: _Optional[float] = ..., push_bar_n: _Optional[float] = ..., stays: bool = ..., hinge: _Optional[_Union[HingeSide, str]] = ...) -> None: ...
+    moved_m: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, hand: _Optional[_Union[Hand, str]] = ..., open_deg: _Optional[float] = ..., hint: _Optional[_Iterable[float]] = ..., opens: _Optional[_Union[Opens, str]] = ..., leaf: _Optional[_Union[Leaf, _Mapping]] = ..., handle: _Optional[_Union[Handle, _Mapping]] = ..., release_deg: _Optional[float] = ..., press_m: _Optional[float] = ..., lever_nm: _Optional[float] = ..., hinge_nm: _Optional[float] = ..., push_bar_n: _Optional[float] = ..., stays: bool = ..., hinge: _Optional[_Union[HingeSide, str]] = ..., moved_m: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Leaf(_message.Message):
     __slots__ = ("hinge", "edge", "height_m", "thickness_m", "face_m", "ajar_deg")

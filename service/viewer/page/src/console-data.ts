@@ -31,18 +31,22 @@ export interface Parameter {
 export interface Tab { name: string; help: string; parameters: Parameter[]; kinds: string[]; errors: string[] }
 export interface RobotChoice { name: string; postures: string[] }
 export interface ScanRow { name: string; age_s: number }
-export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[] }
+export interface CameraChoice { name: string; phases: string[] }
+export interface CameraPicture { image: string; marks: Record<string, number[]> }
+export interface Tabs { tabs: Tab[]; robots: RobotChoice[]; scans: ScanRow[]; cameras: CameraChoice[] }
 // The server's robot (service/cli/console/robot.py); without one only the first three.
 export interface RobotState {
   is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
   findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
   control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
+  shifts: Record<string, number[]>; shiftable: string[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
+export interface Unseen { cells: Quantized }
 export interface ScanChanges { line: string; added: Quantized; gone: Quantized }
 export interface FoundHit {
   hit: number; kind: string; searched: string; confidence: number; pose_world_object: number[][]; sizes: Record<string, number>;
-  residuals: Record<string, number>; doubts: string[]; points: Quantized;
+  residuals: Record<string, number>; doubts: string[]; points: Quantized; moved_m: number[];
 }
 export interface Found { hits: FoundHit[]; notes: string[] }
 

@@ -2,7 +2,8 @@
 import { RobotState, UNDER_WAY, sayRobot } from "./console-data";
 import { Link } from "./console-link";
 import { Measured } from "./console-pose-data";
-import { button, el } from "./dom";
+import { ShiftPanel } from "./console-shift";
+import { button, el, words } from "./dom";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1];
 const TONES: Record<string, string> = { running: "good", done: "good", aborted: "bad", fallen: "bad", lost: "bad" };
@@ -27,6 +28,8 @@ export class RobotStrip {
   private readonly resume = button("", "Resume", "The plan's clock goes on", () => void this.command("resume"));
   private readonly abort = button("", "Go back", "Back to the last pose in balance, where the execution ends", () => void this.command("abort"));
   private readonly stop = button("stop", "Stop", "The robot comes to rest, and the execution ends there", () => void this.command("stop"));
+  private readonly shift = new ShiftPanel((link, offset_m) => this.command("shift", { link, offset_m }));
+  private readonly uncertified = el("div", "uncertified");
   private answered = 0;  // revision of the newest answer, which may come before its state
 
   constructor(private readonly link: Link) {
@@ -38,7 +41,8 @@ export class RobotStrip {
     }));
     this.speed.addEventListener("change", () => void this.command("speed", { speed: Number(this.speed.value) }));
     const orders = el("div", "orders", this.take, this.takeOver, this.release, this.speed, this.pause, this.resume, this.abort, this.stop);
-    this.element.append(el("div", "now", this.mode, this.line, this.holder, this.said, orders), this.alert);
+    this.element.append(el("div", "now", this.mode, this.line, this.holder, this.said, orders), this.uncertified, this.shift.element, this.alert);
+    this.uncertified.hidden = true;
     this.element.hidden = true;
   }
 
@@ -79,6 +83,10 @@ export class RobotStrip {
     this.pause.hidden ||= state.mode === "paused";
     this.resume.hidden ||= state.mode !== "paused";
     this.stop.hidden = !isUnderWay;
+    this.shift.show(state, this.mayOrder);
+    const shifted = Object.entries(state.shifts).map(([link, offset]) => `${words(link)} by ${offset.map((value) => value.toFixed(3)).join(", ")} m`);
+    this.uncertified.hidden = shifted.length === 0;
+    this.uncertified.textContent = `UNCERTIFIED: ${shifted.join("; ")} from the plan. To go on with a certificate, take it back, or stop and plan the rest with the object moved.`;
     if (document.activeElement !== this.speed) this.speed.value = String(SPEEDS.reduce((best, share) => (Math.abs(share - state.speed) < Math.abs(best - state.speed) ? share : best)));
   }
 

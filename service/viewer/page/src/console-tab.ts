@@ -1,6 +1,6 @@
 // One task tab, made of its task file: scan, a click on an object, parameters, and the plan.
 import {
-  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanChanges, ScanCloud, ScanRow, Tab, Tabs, ago, askedFor, readValue, writeValue,
+  Found, FoundHit, Job, OLD_SCAN_S, Parameter, RUNNING, ScanChanges, ScanCloud, ScanRow, Tab, Tabs, Unseen, ago, askedFor, readValue, writeValue,
 } from "./console-data";
 import { choice, labelled, recall, remember } from "./console-fields";
 import { section } from "./console-judge";
@@ -18,6 +18,8 @@ export class TabView {
   private readonly found = el("div", "found");
   private readonly newer = el("div", "chips newer");
   private readonly moved = el("p", "soft moved");
+  private readonly shading = el("input");
+  private readonly moving = el("div", "moving");
   private scanChoice: HTMLSelectElement | null = null;
   private readonly progress = el("div", "progress");
   private readonly plan: HTMLButtonElement;
@@ -62,8 +64,11 @@ export class TabView {
       void this.showScan();
     });
     this.scanChoice = scan;
-    this.element.append(section("Scan", scan, this.newer, this.moved));
-    if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found));
+    this.shading.type = "checkbox";
+    this.shading.checked = recall("unseen") === "yes";
+    this.shading.addEventListener("change", () => { remember("unseen", this.shading.checked ? "yes" : "no"); void this.shade(); });
+    this.element.append(section("Scan", scan, this.newer, this.moved, el("label", "placed", this.shading, " shade what the scan has not seen")));
+    if (tab.kinds.length > 0) this.element.append(section(tab.kinds.map(words).join(" or "), this.found, this.moving));
     const fields = askedFor(tab).map((parameter) => this.field(parameter));
     const given = tab.parameters.filter(({ detect }) => detect !== null).map((parameter) => this.field(parameter));
     if (fields.length > 0) this.element.append(section("Parameters", ...fields));
@@ -149,11 +154,27 @@ export class TabView {
       if (asked !== this.asked || !this.element.isConnected) return;
       this.view = new ScanView(scan.cloud, this.host);
       this.view.onClick = (at) => void this.detect(at);
+      this.view.onMove = (by) => {
+        const hit = this.hits.find((one) => one.hit === this.chosen);
+        if (hit) void this.move(hit, hit.moved_m.map((value, axis) => value + by[axis]));
+      };
+      if (this.shading.checked) void this.shade();
       const what = this.tab.kinds.length > 0 ? `click on the ${words(this.tab.kinds[0])}` : "";
       if (scan.age_s > OLD_SCAN_S) this.say(`this scan is ${ago(scan.age_s)} old${what ? `; ${what}` : ""}`, "fair");
       else this.say(what, "");
     } catch (error) {
       if (asked === this.asked) this.say(String(error instanceof Error ? error.message : error), "bad");
+    }
+  }
+
+  private async shade(): Promise<void> {
+    const { view } = this;
+    if (!view || !this.shading.checked) return view?.shade(null);
+    try {
+      const { cells } = await this.link.order<Unseen>("unseen", this.stood());
+      if (view === this.view && this.shading.checked) view.shade(cells);
+    } catch (error) {
+      this.say(String(error instanceof Error ? error.message : error), "bad");
     }
   }
 
@@ -190,11 +211,40 @@ export class TabView {
       const place = hit.pose_world_object.slice(0, 3).map((line) => line[3].toFixed(2)).join(", ");
       row.append(
         el("span", "mark", isSure ? "✓" : "?"), el("span", "name", words(hit.kind)), el("span", "value", `${Math.round(100 * hit.confidence)} %`),
-        el("span", "detail", [`at ${place} m`, ...hit.doubts].join("; ")),
+        el("span", "detail", [`at ${place} m`, ...(hit.moved_m.some(Boolean) ? ["moved by hand"] : []), ...hit.doubts].join("; ")),
       );
       return row;
     }));
     if (this.hits.length === 0) this.found.append(el("p", "soft", "none chosen"));
+    this.listMoves();
+  }
+
+  // How far the chosen fit was moved from where the scan shows it; by numbers here, by its arrows in the view.
+  private listMoves(): void {
+    const hit = this.hits.find((one) => one.hit === this.chosen);
+    if (!hit) return this.moving.replaceChildren();
+    const input = el("input", "text");
+    input.value = hit.moved_m.map((value) => value.toFixed(3)).join(", ");
+    input.addEventListener("change", () => {
+      const moved = input.value.split(/[\s,;]+/).filter(Boolean).map(Number);
+      if (moved.length === 3 && moved.every(Number.isFinite)) void this.move(hit, moved);
+      else this.say(`moved: expected 3 numbers, got "${input.value}"`, "bad");
+    });
+    const field = labelled("moved by [m]", input);
+    field.title = "from where the scan shows it, in world axes; or drag the arrows in the view";
+    this.moving.replaceChildren(field);
+  }
+
+  private async move(hit: FoundHit, moved: number[]): Promise<void> {
+    try {
+      const made = await this.link.order<FoundHit>("move_hit", { hit: hit.hit, moved_m: moved });
+      this.hits = this.hits.map((one) => (one.hit === hit.hit ? made : one));
+      this.choose(made.hit);
+      this.say("", "");
+    } catch (error) {
+      this.choose(this.chosen);
+      this.say(String(error instanceof Error ? error.message : error), "bad");
+    }
   }
 
   private async ask(): Promise<void> {

@@ -1,5 +1,6 @@
 // Starts the console's page: log-in, inbox, task tabs, and what stands beside them.
 import { Job, Physics, Plan, ReviewedRow, RobotState, Row, Tabs, ago, standingOfRow } from "./console-data";
+import { CameraPanel } from "./console-cameras";
 import { choice, labelled } from "./console-fields";
 import { Judge, compareRisks, section } from "./console-judge";
 import { IS_SLOW, Link, State } from "./console-link";
@@ -20,6 +21,8 @@ const saidBy = (error: unknown): string => (error instanceof Error ? error.messa
 class ConsolePage {
   readonly link: Link;
   readonly robot: RobotStrip;
+  private readonly cameras: CameraPanel;
+  readonly previewed: string[] = [];  // hashes of the motions that this page has shown, for tests
   tab: TabView | null = null;
   pose: PoseTab | null = null;
   private readonly nav = el("nav", "tabs");
@@ -32,7 +35,7 @@ class ConsolePage {
   private readonly where = el("span", "says");
   private frame: HTMLIFrameElement | null = null;
   private beside: HTMLElement | null = null;
-  private tabs: Tabs = { tabs: [], robots: [], scans: [] };
+  private tabs: Tabs = { tabs: [], robots: [], scans: [], cameras: [] };
   private rows: Row[] = [];
   private active = INBOX;
   private shown = "";
@@ -43,11 +46,12 @@ class ConsolePage {
   constructor(private readonly settings: Settings) {
     this.link = new Link(settings.version);
     this.robot = new RobotStrip(this.link);
+    this.cameras = new CameraPanel(this.link);
     document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
     document.body.classList.add("console");
     const leave = button("", "Log out", "End this session", () => void this.link.logOut().then(() => location.reload()));
     const head = el("header", "top", el("div", "what", el("h1", "", "Console"), this.where), this.nav, el("div", "tools", leave));
-    const left = el("aside", "rows", this.list, this.openById());
+    const left = el("aside", "rows", this.cameras.element, this.list, this.openById());
     this.side.append(this.scroll);
     this.bar.hidden = true;
     this.login.hidden = true;
@@ -105,6 +109,7 @@ class ConsolePage {
     if (event.event === "job") this.follow(event as unknown as Job);
     if (event.event === "robot") {
       this.robot.show(event as unknown as RobotState);
+      this.cameras.show(this.robot.state?.phase ?? "");
       this.pose?.hearRobot(event as unknown as RobotState);
     }
     if (event.event === "measured") {
@@ -131,6 +136,7 @@ class ConsolePage {
       if (this.link.state === "open") this.say(saidBy(error), this.notice);
     }
     this.tab?.hearScans(this.tabs.scans);
+    this.cameras.list(this.tabs.cameras);
     this.drawTabs();
     this.drawRows();
   }
@@ -206,6 +212,7 @@ class ConsolePage {
   }
 
   private show(plan: Plan): void {
+    this.previewed.push(plan.trajectory_sha256);
     const judge = new Judge(plan, (check) => this.look(check), async ({ accept, comment, despite }) => {
       const row = await this.link.order<ReviewedRow>("review", {
         plan_id: plan.plan_id, accept, comment, despite, trajectory_sha256: plan.trajectory_sha256,
@@ -311,6 +318,8 @@ try {
     get hasScan(): boolean { return page.tab?.view !== null && page.tab?.view !== undefined; },
     choose: (name: string): void => page.choose(name),
     open: (id: string): Promise<void> => page.open(id),
+    previewed: page.previewed,
+    get tab(): TabView | null { return page.tab; },
     get pose(): PoseTab | null { return page.pose; },
     project: (place: number[]): number[] | null => page.tab?.view?.pixel(place) ?? null,
   } });
