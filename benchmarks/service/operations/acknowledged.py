@@ -31,6 +31,7 @@ ITEMS, FEW_ITEMS = 1000, 4  # plans and reviews that are to be confirmed; in a s
 LEAST_S, LONGEST_S = 0.5, 8.0  # between two blows
 FULL_S, GROWS_S = 0.5, 3.0  # of a full disk, and longest wait for a growing store
 PAGE = 500
+BUSY = ("UNAVAILABLE", "RESOURCE_EXHAUSTED", "DEADLINE_EXCEEDED", "CANCELLED", "ABORTED")  # such calls are repeated
 ARGUMENTS = ("--requests-per-s", "100000")
 
 
@@ -41,12 +42,14 @@ class _Told:
     Attributes:
         plans: by the client's name of it, id and hashes of trajectory and certificate.
         reviews: names of the plans whose acceptance was confirmed.
+        refused: what the server said where it ought to take a plan or a review.
         address: of the present server; empty while there is none.
         is_over: whether clients are to stop.
     """
 
     plans: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     reviews: set[str] = field(default_factory=set)
+    refused: list[str] = field(default_factory=list)
     address: str = ""
     is_over: bool = False
 
@@ -81,6 +84,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
     return [
         Figure(f"{sum(blows.values())} blows ({words})", "", ""),
         Figure("  confirmed plans and reviews", str(items), str(told.count), told.count >= items),
+        Figure("  refused for what it asks", "0", " ".join(told.refused[:1]) or "0", not told.refused),
         Figure(f"  lost or changed plans, of {plans}", "0", str(lost), lost == 0 and plans > 0),
         Figure(f"  undone or repeated reviews, of {reviews}", "0", str(undone), undone == 0 and reviews > 0),
         Figure(f"  plans made twice, of {plans}", "0", str(doubled), doubled == 0 and plans > 0),
@@ -103,7 +107,9 @@ def _plan_and_review(told: _Told, client: int) -> None:
                     _review(stub, told.plans[name])
                     told.reviews.add(name)
                     number += 1
-        except grpc.RpcError:
+        except grpc.RpcError as error:
+            if error.code().name not in BUSY:
+                told.refused.append(f"{error.code().name} {error.details()}")
             time.sleep(0.1)
 
 
