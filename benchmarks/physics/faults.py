@@ -18,11 +18,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from service.simulation.resistance import read_mechanism_physics
 
 from benchmarks.physics.fault_kinds import FAULTS, FLOOR_M, Fault, FaultyRobot
 from benchmarks.physics.perturbed import list_folders
 from benchmarks.tables import print_table
+from service.demands.kind import read_mechanism_physics
 from service.errors import ServiceError
 from service.execution.execution import Cycle, Execution
 from service.execution.guards import GuardSettings, Severity
