@@ -1,6 +1,7 @@
 """Plans in physics with a fault at a moment: does the robot stand after the reaction, and was the fault named?
 
-``python -m benchmarks.physics.faults [NAME|FOLDER ...] [--moments N] [--only TEXT] [--period MS] [--out FILE]``.
+``python -m benchmarks.physics.faults [NAME|FOLDER ...] [--moments N | --at S ...] [--only TEXT]
+[--period MS] [--out FILE]``.
 
 Names are files of ``examples/requests``.  Each fault of ``fault_kinds`` begins at N moments of each plan, and the robot
 is watched for three more seconds.  An outcome is safe if the robot stands and no link presses harder than its cap,
@@ -18,11 +19,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from service.simulation.resistance import read_mechanism_physics
 
 from benchmarks.physics.fault_kinds import FAULTS, FLOOR_M, Fault, FaultyRobot
 from benchmarks.physics.perturbed import list_folders
 from benchmarks.tables import print_table
+from service.demands.kind import read_mechanism_physics
 from service.errors import ServiceError
 from service.execution.execution import Cycle, Execution
 from service.execution.guards import GuardSettings, Severity
@@ -227,6 +228,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.physics.faults", description=__doc__.splitlines()[0])
     parser.add_argument("plans", nargs="*", default=list(NAMES), help="names of requests, or result folders")
     parser.add_argument("--moments", type=int, default=3)
+    parser.add_argument("--at", type=float, nargs="+", help="these moments of each plan instead [s]", metavar="S")
     parser.add_argument("--only", default="", help="faults whose name contains this")
     parser.add_argument("--period", type=int, default=4, help="of the pose control [ms]")
     parser.add_argument("--out", type=Path, help="file for all runs as JSON")
@@ -236,7 +238,7 @@ def main() -> None:
         for name, folder in list_folders(given.plans, Path(scratch)):
             stage = Stage(name, folder, given.period)
             for fault in stage.list_faults(given.only):
-                for moment in stage.list_moments(given.moments):
+                for moment in given.at or stage.list_moments(given.moments):
                     try:
                         runs.append(stage.run(fault, moment))
                     except ServiceError as error:

@@ -1,10 +1,10 @@
 """Rehearsal of an upgrade: a server of an earlier release is replaced under a running client of that release.
 
-``python -m benchmarks.service.upgrade OLD [--plans N]``.  OLD is a checkout of the release (``git worktree add OLD
-4e2b7f6a``).  A client of OLD plans one request after the other with files, each with a request id, and accepts every
-third plan; it repeats what is refused while no server listens.  In the middle the old server is stopped and today's is
-started on the same data and the same port.  Then every confirmed plan is asked for again by its request id, and
-verified.
+``python -m benchmarks.service.upgrade OLD [--plans N]``.  OLD is a checkout of the release, 0.2.0 or later
+(``git worktree add OLD 4e2b7f6a``).  A client of OLD plans one request after the other with files, each with a request
+id, and accepts every third plan; it repeats what is refused while no server listens.  In the middle the old server is
+stopped and today's is started on the same data and the same port.  Then every confirmed plan is asked for again by its
+request id, and verified.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ from service.request.file import load_request
 
 ROOT = Path(__file__).parents[2]
 REQUEST = ROOT / "examples" / "requests" / "joint_goal.yaml"
-SERVE = "from service.cli.app import main; main()"
+SERVE = "from service.cli import main; main()"
 CLIENT = """
 import json, sys, tempfile, time
 from service.client import PlannerClient, PlannerError
-from service.request.file import load_request
+try:
+    from service.request.file import load_request
+except ImportError:  # before 0.3.0
+    from service.request_file import load_request
 address, path, n = sys.argv[1], sys.argv[2], int(sys.argv[3])
 request = load_request(path)
 for k in range(n):

@@ -67,3 +67,28 @@ def test_the_modules_of_the_verifier_are_imported_by_its_own_folder_only() -> No
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("service.verify.")
     }
     assert inside == set(), "export what others need in service/verify/__init__.py"
+
+
+def find_source(module: str) -> Path | None:
+    path = ROOT / module.replace(".", "/")
+    files = (path.with_suffix(".py"), path / "__init__.py")
+    return next((file for file in files if file.is_file()), None)
+
+
+def test_benchmarks_examples_and_tools_import_what_there_is() -> None:
+    """No test runs all of them, and an import that fails is otherwise found years later."""
+    missing, texts = set(), dict[str, str]()
+    for folder in ("benchmarks", "examples", "tools"):
+        for file in (ROOT / folder).rglob("*.py"):
+            for node in list_import_statements(file):
+                module = node.module or "" if isinstance(node, ast.ImportFrom) else node.names[0].name
+                if module.split(".")[0] not in ("service", "costs", "perception", "benchmarks") or "_pb2" in module:
+                    continue
+                source = find_source(module)
+                text = texts.setdefault(module, source.read_text() if source else "")
+                names = [alias.name for alias in node.names] if isinstance(node, ast.ImportFrom) else []
+                if source is None or any(
+                    not re.search(rf"\b{name}\b", text) and find_source(f"{module}.{name}") is None for name in names
+                ):
+                    missing.add(f"{file.relative_to(ROOT)} imports {module}: {', '.join(names)}")
+    assert missing == set()

@@ -27,9 +27,11 @@ from service.proto.planner.v1 import planner_pb2 as wire
 from service.proto.planner.v1.planner_pb2_grpc import PlannerServiceStub
 
 WORKERS, CLIENTS = 2, 4
+ITEMS, FEW_ITEMS = 1000, 4  # plans and reviews that are to be confirmed; in a short run
 LEAST_S, LONGEST_S = 0.5, 8.0  # between two blows
 FULL_S, GROWS_S = 0.5, 3.0  # of a full disk, and longest wait for a growing store
 PAGE = 500
+BUSY = ("UNAVAILABLE", "RESOURCE_EXHAUSTED", "DEADLINE_EXCEEDED", "CANCELLED", "ABORTED")  # such calls are repeated
 ARGUMENTS = ("--requests-per-s", "100000")
 
 
@@ -40,27 +42,34 @@ class _Told:
     Attributes:
         plans: by the client's name of it, id and hashes of trajectory and certificate.
         reviews: names of the plans whose acceptance was confirmed.
+        refused: what the server said where it ought to take a plan or a review.
         address: of the present server; empty while there is none.
         is_over: whether clients are to stop.
     """
 
     plans: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     reviews: set[str] = field(default_factory=set)
+    refused: list[str] = field(default_factory=list)
     address: str = ""
     is_over: bool = False
 
+    @property
+    def count(self) -> int:
+        """Number of confirmed plans and reviews."""
+        return len(self.plans) + len(self.reviews)
+
 
 def measure(options: Options, folder: Path) -> list[Figure]:
-    """Strike for some time, then compare all that is stored with all that was confirmed."""
+    """Strike until enough is confirmed or time is over, then compare all that is stored with all that was confirmed."""
     random, told, blows = Random(options.seed), _Told(), Counter[str]()
-    until = time.monotonic() + options.time_s(200.0, 20.0)
+    until, items = time.monotonic() + options.time_s(1200.0, 60.0), options.count(ITEMS, FEW_ITEMS)
     clients = [threading.Thread(target=_plan_and_review, args=(told, k)) for k in range(CLIENTS)]
     for client in clients:
         client.start()
-    while time.monotonic() < until:
+    while time.monotonic() < until and told.count < items:
         with started(folder, *ARGUMENTS, workers=WORKERS) as server:
             told.address = server.address
-            while server.is_alive() and time.monotonic() < until:
+            while server.is_alive() and time.monotonic() < until and told.count < items:
                 time.sleep(random.uniform(LEAST_S, LONGEST_S))
                 name = random.choices(list(BLOWS), WEIGHTS)[0]
                 blows[name] += BLOWS[name](server, folder)
@@ -70,13 +79,15 @@ def measure(options: Options, folder: Path) -> list[Figure]:
         client.join()
     with started(folder, *ARGUMENTS, workers=WORKERS) as server:
         lost, undone, doubled = _compare(server, told)
-    n = len(told.plans) + len(told.reviews)
     words = ", ".join(f"{name} {count}" for name, count in sorted(blows.items()))
+    plans, reviews = len(told.plans), len(told.reviews)
     return [
-        Figure(f"{sum(blows.values())} blows ({words}): confirmed plans and reviews", "", str(n)),
-        Figure(f"  lost or changed plans, of {len(told.plans)}", "0", str(lost), lost == 0 and n > 0),
-        Figure(f"  undone or repeated reviews, of {len(told.reviews)}", "0", str(undone), undone == 0 and n > 0),
-        Figure("  requests with more than one finished plan", "0", str(doubled), doubled == 0),
+        Figure(f"{sum(blows.values())} blows ({words})", "", ""),
+        Figure("  confirmed plans and reviews", str(items), str(told.count), told.count >= items),
+        Figure("  refused for what it asks", "0", " ".join(told.refused[:1]) or "0", not told.refused),
+        Figure(f"  lost or changed plans, of {plans}", "0", str(lost), lost == 0 and plans > 0),
+        Figure(f"  undone or repeated reviews, of {reviews}", "0", str(undone), undone == 0 and reviews > 0),
+        Figure(f"  plans made twice, of {plans}", "0", str(doubled), doubled == 0 and plans > 0),
     ]
 
 
@@ -93,11 +104,13 @@ def _plan_and_review(told: _Told, client: int) -> None:
                     name = request.request_id = f"client-{client}-{number}"
                     if name not in told.plans:
                         told.plans[name] = _plan(stub, request)
-                    if number % 2:
+                    if told.plans[name][1]:  # one that met its deadline has no trajectory, and cannot be accepted
                         _review(stub, told.plans[name])
                         told.reviews.add(name)
                     number += 1
-        except grpc.RpcError:
+        except grpc.RpcError as error:
+            if error.code().name not in BUSY:
+                told.refused.append(f"{error.code().name} {error.details()}")
             time.sleep(0.1)
 
 
