@@ -82,6 +82,14 @@ def test_a_load_that_slides_acts_where_the_tool_is() -> None:
         np.testing.assert_allclose(parts[0][1][0, 3:], np.cross(place, -leaf.rotation @ force), atol=1e-9)
 
 
+@pytest.mark.parametrize(("tool", "link"), [("l_tool", "no leaf"), ("no tool", "leaf")])
+def test_a_load_with_a_frame_that_nobody_has_is_refused(tool: str, link: str) -> None:
+    robot = motion_of(np.zeros((2, 2))).robot
+    load = HandLoad(tool, link, np.zeros(3), np.array([50.0, 0.0, 0.0]))
+    with pytest.raises(VerifyError, match="unknown frame 'no"):
+        list_load_cases(robot, np.zeros((1, robot.n)), (load,))
+
+
 def test_a_load_by_hand() -> None:
     """A push of 50 N on a shut leaf: the robot feels the opposite at that place."""
     load = HandLoad("l_tool", "leaf", np.array([0.0, 0.8, 1.0]), np.array([50.0, 0.0, 0.0]))

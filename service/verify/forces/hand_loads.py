@@ -150,10 +150,16 @@ def list_load_cases(
     """Return no load, and every combination of the loads at their largest, at configurations.
 
     The force of a load that slides acts where the tool is on the slide.
+
+    Raises:
+        VerifyError: a load names a tool or a link that the robot does not have.
     """
     if not loads:
         return (LoadCase(np.zeros((len(q), 6)), ()),)
     model, data = robot.model, borrow_data(robot.model)
+    for name in (name for load in loads for name in (load.tool, load.link)):
+        if not model.existFrame(name):  # pinocchio reads beyond its frames otherwise
+            raise VerifyError(f"unknown frame '{name}' of a load")
     tools, links = [model.getFrameId(load.tool) for load in loads], [model.getFrameId(load.link) for load in loads]
     joints = [int(model.frames[tool].parentJoint) for tool in tools]
     forces, points = np.zeros((2, len(loads), len(q), 3))
