@@ -68,6 +68,7 @@ def make_requests(urdf: Path) -> Mapping[str, dict[str, Any]]:
         "clearance": PLAY, "sockets": [wall["name"] for wall in walls],
     }  # fmt: skip
     put = {"object": "item", "to": [*INTO, TOP + 0.05]}
+    press = {"at": [0.5, 0.1, TOP + 0.02], "normal": [0, 0, 1], "force_n": 10, "travel_m": 0.01, "height_m": 0.02}
 
     def scene(*walls: dict[str, Any], item: dict[str, Any] | None = None) -> dict[str, Any]:
         return {"scene": {"obstacles": [TABLE, *walls], **({} if item is None else {"objects": [item]})}}
@@ -75,6 +76,7 @@ def make_requests(urdf: Path) -> Mapping[str, dict[str, Any]]:
     return {
         "line": {**base, **scene(), "task": {"steps": [{"move": up}]}},
         "follow": {**base, **scene(), "task": {"steps": [{"follow": circle}]}},
+        "press": {**base, **scene(), "task": {"steps": [{"press": press}]}},
         "insert": {**base, **scene(*walls, item=peg), "task": {"use": "plug", "with": plug}},
         "pick_place": {**base, **scene(item=block), "task": {"use": "pick_place", "with": put}},
     }

@@ -27,6 +27,8 @@ class Hand:
         fingers: links of the two fingers, which slide along the palm's x axis and against it.
         grips: joints of the fingers, 0 where the pads meet in the middle.
         peg_radius: half the rod's thickness [m].
+        closed: joints of a gripper that pushes by its fingers' ends, and their values there; none of a rod [m].
+        tip_m: of those ends before ``tool`` [m].
     """
 
     side: Literal["left", "right"]
@@ -39,6 +41,13 @@ class Hand:
     fingers: tuple[str, str]
     grips: tuple[str, str]
     peg_radius: float = PEG_RADIUS
+    closed: tuple[tuple[str, float], ...] = ()
+    tip_m: float = 0.0
+
+    @property
+    def pushing_links(self) -> tuple[str, ...]:
+        """The links by which the hand pushes."""
+        return self.fingers if self.closed else (self.hook, self.link)
 
 
 def _make_hand(side: Literal["left", "right"]) -> Hand:

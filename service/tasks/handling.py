@@ -32,8 +32,13 @@ def list_hands(body: WholeBody, side: str, at: Float[np.ndarray, "3"], frames: S
         for hand in list_robot_hands(body.robot)
         if side in ("auto", hand.side) and all(model.existFrame(getattr(hand, frame)) for frame in frames)
     ]
-    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in known])
-    return tuple(sorted(known, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - at))))
+    return sort_hands(body, known, at)
+
+
+def sort_hands(body: WholeBody, hands: Sequence[Hand], at: Float[np.ndarray, "3"]) -> tuple[Hand, ...]:
+    """Return hands, the nearest to a place (3,) in the world first [m]."""
+    poses = locate_links(body.engine, body.nominal, [hand.tool for hand in hands])
+    return tuple(sorted(hands, key=lambda hand: float(np.linalg.norm(poses[hand.tool][:3, 3] - at))))
 
 
 def find_collisions(body: WholeBody, touches: Sequence[Allowance] = (), remedy: str = "") -> Iterator[str]:

@@ -152,6 +152,11 @@ REFUSED = {
         [{"move": {"posture": "stand"}}, {"hold": {"object": "peg", "hand": "right"}}],
         "task.steps[1].hold: comes after another step; expected first",
     ),
+    "pressed with a full hand": (
+        [{"hold": {"object": "peg", "hand": "right"}},
+         {"press": {"at": [INTO[0], INTO[1], 0.6], "normal": [0, 0, 1], "force_n": 5}}],
+        "task.steps[1].hand: the right hand holds an object; expected a hand that is free",
+    ),
     "held alone": ([{"hold": {"object": "peg", "hand": "right"}}], "nothing moves; expected a step after 'hold'"),
     "two hands": ([{"grasp": {"object": "peg", "hand": "both"}}], "both needs two hands with two fingers that slide"),
     "no such grasp": ([{"grasp": {"object": "peg", "grasp": 3}}], "peg has no grasps, numbered from 0"),

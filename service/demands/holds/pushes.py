@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -24,6 +24,7 @@ from service.verify import (
     measure_beyond_hull,
     measure_excess,
     meet,
+    place_frames,
     shrink_hull,
 )
 
@@ -42,11 +43,19 @@ Surface = tuple[str, str, Float[np.ndarray, "K 3"], float]
 
 @dataclass(frozen=True)
 class _HeldAt:
-    """Pose (4, 4) of a hand's frame ``tool`` in the world, with the mechanism at ``values``."""
+    """A hand at the mechanism.
+
+    Attributes:
+        tool: frame of the hand.
+        pose: (4, 4) of that frame in the world.
+        values: (k,) of the mechanism's joints.
+        fingers: pose (4, 4) of each closed finger in the tool's frame; none of a rod, or of fingers that grip.
+    """
 
     tool: str
     pose: Float[np.ndarray, "4 4"]
     values: Float[np.ndarray, "k"]
+    fingers: Mapping[str, Float[np.ndarray, "4 4"]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -123,17 +132,36 @@ def find_nominal_pushes(
     needs = _list_needs(spec, mechanism)
     if not needs or any(part.source == "assumed" for part in spec.pressed):
         return
-    hand = next((hand for hand in list_robot_hands(robot) if motion.tool in (hand.tool, hand.peg, hand.stub)), None)
+    hand = _find_hand(robot, motion)
     contacts = _keep_nearest(list(_list_contacts(robot, hand, spec)), motion, robot)
     if not contacts:
         return
-    held = _HeldAt(motion.tool, _place_hand(motion, mechanism, spec.first), spec.first)
+    fingers = _place_fingers(robot, hand, spec)
+    held = _HeldAt(motion.tool, _place_hand(motion, mechanism, spec.first), spec.first, fingers)
     pushed = frozenset(joint for joint, _, _ in needs)
     for joint, sense, force in needs:
         stays = _list_held(spec, mechanism, contacts[0], pushed)
         joints = (joint, *(other.joint for other in stays))
         met = tuple(_meet(robot, mechanism, contact, held, joints, sense) for contact in contacts)
         yield _choose(HandPush(joint, sense, force, tuple(contacts), friction, stays), met)
+
+
+def _find_hand(robot: RobotModel, motion: FrameMotion) -> Hand | None:
+    """Return the hand that a frame belongs to."""
+    hands = list_robot_hands(robot)
+    return next((hand for hand in hands if motion.tool in (hand.tool, hand.peg, hand.stub)), None)
+
+
+def _place_fingers(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Mapping[str, Float[np.ndarray, "4 4"]]:
+    """Return the poses of fingers that a phase keeps closed, in the tool's frame; none of fingers that grip."""
+    motion = spec.hand
+    if hand is None or motion is None or motion.rotation is not None or not spec.joints:
+        return {}
+    q = np.zeros(robot.n)
+    for joint, (value, _) in spec.joints.items():
+        q[robot.joint_names.index(joint)] = value
+    poses = place_frames(robot, q, [motion.tool, *hand.fingers])
+    return {finger: np.linalg.inv(poses[motion.tool]) @ poses[finger] for finger in hand.fingers}
 
 
 def find_side(
@@ -146,6 +174,7 @@ def find_side(
     motion = spec.hand
     if motion is None:
         return np.zeros(3)
+    hand = _find_hand(robot, motion)
     for nominal in find_nominal_pushes(spec, robot, mechanism, friction):
         pressed = {contact.body for contact in nominal.push.contacts}
         others = [body for body in robot.bodies if body.link in robot.mechanism_links and body.name not in pressed]
@@ -155,7 +184,8 @@ def find_side(
             for distance in np.linspace(MOST_BESIDE, 0.0, 6):
                 shift = -distance * meeting.normal
                 moved = replace(motion, place=motion.place + shift)
-                held = _HeldAt(motion.tool, _place_hand(moved, mechanism, spec.first), spec.first)
+                pose = _place_hand(moved, mechanism, spec.first)
+                held = _HeldAt(motion.tool, pose, spec.first, _place_fingers(robot, hand, spec))
                 gaps = [_measure_gap(robot, mechanism, contact, held, body) for body in others]
                 if min(gaps, default=np.inf) >= LEAST_BESIDE:
                     return np.asarray(shift)
@@ -228,7 +258,8 @@ def _find_cap(robot: RobotModel, hand: Hand, link: str) -> float:
     """Return the largest force of a surface along its normal: of a finger its actuator's [N]."""
     if link not in hand.fingers:
         return HAND_CAP_N
-    effort = float(robot.effort[robot.joint_names.index(hand.grips[hand.fingers.index(link)])])
+    joint = robot.model.joints[robot.model.frames[robot.model.getFrameId(link)].parentJoint]
+    effort = float(robot.effort[int(joint.idx_q)])
     return effort if 0.0 < effort < np.inf else HAND_CAP_N
 
 
@@ -291,11 +322,15 @@ def _meet(
     """Return where a contact meets its body; None for a surface that is not carried rigidly by the hand's frame."""
     model = robot.model
     tool, frame = (model.frames[model.getFrameId(name)] for name in (held.tool, contact.frame))
-    if int(tool.parentJoint) != int(frame.parentJoint):
+    if contact.frame in held.fingers:
+        own = held.fingers[contact.frame]
+    elif int(tool.parentJoint) == int(frame.parentJoint):
+        own = (tool.placement.inverse() * frame.placement).homogeneous
+    else:
         return None
     body = next(body for body in robot.bodies if body.name == contact.body)
     link = mechanism.locate(contact.link, held.values)
-    pose = np.linalg.inv(link) @ held.pose @ (tool.placement.inverse() * frame.placement).homogeneous
+    pose = np.linalg.inv(link) @ held.pose @ own
     ways = [_find_way(mechanism, name, link, held.values) for name in joints]
     return meet(contact, body, (pose[:3, :3], pose[:3, 3]), sense, ways)
 

@@ -12,10 +12,11 @@ from costs.robot import (
     with_mechanism,
 )
 from service.demands.figures.travel import measure_ends
-from service.demands.hands import Hand, list_robot_hands
+from service.demands.hands import Hand
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.mechanism.settling import keep_aside, settle_handle
+from service.demands.mechanism.tips import list_pushing_hands
 from service.demands.phase import TaskPhase
 from service.demands.rest.phases import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
@@ -59,11 +60,8 @@ class GivenMechanismDemand:
             for target in targets
             if isinstance(target, RelativePoseTarget) and target.reference == self.given.handle.link
         }
-        side = self.given.request.hand
-        for hand in list_robot_hands(self.robot):
-            if side in ("auto", hand.side) and tools & {hand.peg, hand.tool, hand.stub}:
-                return hand
-        return None
+        pushing = list_pushing_hands(self.robot, self.given)
+        return next((hand for hand in pushing if tools & {hand.peg, hand.tool, hand.stub}), None)
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
         """Return the hand of a record, or a sentence that it has none."""
@@ -86,9 +84,10 @@ def read_kept_hand(demand: GivenMechanismDemand, resume: ResumeRequest) -> Hand:
     side = demand.given.request.hand
     if side not in ("auto", resume.hold.hand):
         raise RequestError(f"resume.hold.hand: {resume.hold.hand}; task.mechanism.hand permits {side}")
-    hand = next((hand for hand in list_robot_hands(demand.robot) if hand.side == resume.hold.hand), None)
+    pushing = list_pushing_hands(demand.robot, demand.given)
+    hand = next((hand for hand in pushing if hand.side == resume.hold.hand), None)
     if hand is None:
-        raise RequestError(f"resume.hold.hand: the robot has no {resume.hold.hand} hand")
+        raise RequestError(f"resume.hold.hand: the robot has no {resume.hold.hand} hand that can push it")
     return hand
 
 

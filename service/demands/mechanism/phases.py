@@ -35,7 +35,10 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
         RequestError: a hand at the handle does not move a joint.
     """
     handle, start = given.handle, given.mechanism.start
-    tool = select_tool(given, hand)
+    tool, closed = select_tool(given, hand), {joint: (value, value) for joint, value in hand.closed}
+    # Where parts only slide, a force acts at a gripper's frame behind its fingers' ends as it does at these.
+    handle = replace(handle, place=handle.place - hand.tip_m * handle.axis)
+    given = replace(given, handle=handle)
     held = FrameMotion(
         tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
         tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
@@ -44,7 +47,7 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
     # What presses lies on the surface; the rod beside a hand that presses by its front comes no further than that.
     depths = {hand.link: TOUCH_DEPTH, hand.hook: DEPTH_RESERVE}
     if given.request.handle.tool != "stub":
-        depths = {hand.hook: TOUCH_DEPTH}
+        depths = dict.fromkeys(hand.fingers if hand.closed else (hand.hook,), TOUCH_DEPTH)
     touches = tuple(
         Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), depth)
         for link, depth in depths.items()
@@ -60,9 +63,9 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
             f"task.mechanism.joints: the hand would carry {len(loads[crowded])} loads, one per joint and direction, in "
             f"moves[{crowded}]; expected at most {MOST_LOADS}"
         )
-    phases = [TaskPhase("reach", start, start), TaskPhase("approach", start, start, (line,), touches)]
+    phases = [TaskPhase("reach", start, start), TaskPhase("approach", start, start, (line,), touches, joints=closed)]
     if drags_along(given, joint_loads[0], loads[0], start):
-        phases.append(TaskPhase(SET_ON, start, start, (line,), touches))
+        phases.append(TaskPhase(SET_ON, start, start, (line,), touches, joints=closed))
     for k, (first, last) in enumerate(ends):
         bears = {
             load.joint: (load.low - STAYS_SHARE * load.slack[0], load.high + STAYS_SHARE * load.slack[1])
@@ -70,12 +73,12 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
             if load.sense == 0.0
         }
         name = _name_phase(given.request, k)
-        phases.append(TaskPhase(name, first, last, (held,), touches, loads=loads[k], bears=bears))
+        phases.append(TaskPhase(name, first, last, (held,), touches, joints=closed, loads=loads[k], bears=bears))
     if not given.request.stays:  # a line promises nothing but what may touch: the planner may turn it
         away = replace(line, leaves=True)
         if drags_along(given, joint_loads[-1], loads[-1], values):
-            phases.append(TaskPhase(LET_GO, values, values, (away,), touches))
-        phases.append(TaskPhase("retract", values, values, (away,), touches))
+            phases.append(TaskPhase(LET_GO, values, values, (away,), touches, joints=closed))
+        phases.append(TaskPhase("retract", values, values, (away,), touches, joints=closed))
     return add_pressed(phases, find_pressed(None, given.request.handle.link, (0.0, 0.0)))
 
 

@@ -152,6 +152,11 @@ class Holding:
         """What carries each object."""
         return tuple(self.held[name].make_carrier(name) if name in self.held else Carrier(name) for name in self.items)
 
+    @property
+    def busy(self) -> frozenset[str]:
+        """The frames of the hands that hold an object."""
+        return frozenset(tool for hold in self.held.values() for tool in hold.tools)
+
     def list_company(self) -> tuple[frozenset[str], ...]:
         """Return the frames that move as one: an object and the hands that hold it."""
         return tuple(frozenset((name, *hold.tools)) for name, hold in self.held.items())

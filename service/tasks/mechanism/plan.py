@@ -16,6 +16,7 @@ from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
+from service.demands.grasping.gripper import list_grippers
 from service.demands.hands import Hand
 from service.demands.holds.leaving import LET_GO
 from service.demands.holds.pushes import explain_refusal
@@ -27,13 +28,14 @@ from service.demands.mechanism.phases import (
     select_tool,
 )
 from service.demands.mechanism.settling import keep_aside, settle_handle
+from service.demands.mechanism.tips import list_pushing_hands, list_turning
 from service.demands.phase import TaskPhase, find_rotation_onto
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
 from service.request.tasks.mechanism import MechanismRequest
 from service.setup.prepare import PlanSetup
 from service.tasks.door.sweep import find_first_met
-from service.tasks.handling import FARTHER, find_collisions, list_hands
+from service.tasks.handling import FARTHER, find_collisions, sort_hands
 from service.tasks.hints import FREE_WAYPOINTS, Hints, PhaseHints
 from service.tasks.rest.plan import plan_rest
 from service.tasks.sequence import PhaseSequence, add_mechanism
@@ -149,19 +151,29 @@ def choose_hands(body: WholeBody, given: GivenMechanism) -> tuple[Hand, ...]:
     """
     pose = given.locate(given.handle.joint, given.mechanism.start)
     at = pose[:3, :3] @ given.handle.place + pose[:3, 3]
-    hands = list_hands(body, given.request.hand, at, ("tool", "peg", "stub"))
+    hands = sort_hands(body, tuple(list_pushing_hands(body.robot, given)), at)
     if not hands:
         side = {"auto": ""}.get(given.request.hand, f"{given.request.hand} ")
         raise RequestError(
             f"task.mechanism.hand: robot '{body.robot.name}' has no {side}hand with a rod, by which parts are pushed "
-            "(frames tool, peg and stub); robot.hand: hook gives the bundled robot such hands, robot.hands names those "
-            "of another robot"
+            f"(frames tool, peg and stub){_explain_fingers(body, given)}; robot.hand: hook gives the bundled robot "
+            "such hands, robot.hands names those of another robot"
         )
     return hands
 
 
+def _explain_fingers(body: WholeBody, given: GivenMechanism) -> str:
+    """Return why grippers cannot push a mechanism instead; empty for a robot without any."""
+    if not list_grippers(body.robot, given.request.hand):
+        return ""
+    turning = list_turning(given)
+    if turning:
+        return f", and {turning[0]} turns: closed fingers push only parts that slide"
+    return f"; closed fingers push only with handle.tool: tip, not {given.request.handle.tool}"
+
+
 def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism) -> None:
-    """Refuse a place at which the hand's rod does not touch what it holds, or is deep inside.
+    """Refuse a place at which the hand's rod, or its fingers' ends, do not touch what it holds, or is deep inside.
 
     Raises:
         RequestError: one line with the distance.
@@ -172,22 +184,35 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
     if not bodies:
         raise RequestError(f"{field}.link: {link} has no <collision>; expected a link that the hand can touch")
     for hand in hands:
-        tool = select_tool(given, hand)
-        poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
-        origin = poses[tool][:3, 3]
-        first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
-        rod = handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * handle.axis
-        if given.request.handle.tool == "tip":  # the rod ends flat
-            rod = rod[np.linalg.norm(rod - handle.place, axis=1) >= hand.peg_radius]
-        gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
+        gap = float("inf")
+        if not hand.closed:
+            rod = _list_rod(solver, given, hand)
+            if given.request.handle.tool == "tip":  # the rod ends flat
+                rod = rod[np.linalg.norm(rod - handle.place, axis=1) >= hand.peg_radius]
+            gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
         if given.request.handle.tool == "tip":
             gap = min(gap, *(measure_surface_distance(body, handle.place) for body in bodies))
         if not -MOST_INSIDE <= gap <= MOST_GAP:
             where = f"{1e3 * abs(gap):.0f} mm {'away from' if gap > 0.0 else 'inside'} {link}"
             raise RequestError(
-                f"{field}.place: the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius would be {where}; "
+                f"{field}.place: {_name_surface(hand)} would be {where}; "
                 f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
             )
+
+
+def _name_surface(hand: Hand) -> str:
+    if hand.closed:
+        return f"the ends of the {hand.side} hand's closed fingers"
+    return f"the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius"
+
+
+def _list_rod(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> Float[np.ndarray, "P 3"]:
+    """Return points along the middle of a hand's rod at the handle, in the handle's link [m]."""
+    tool = select_tool(given, hand)
+    poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
+    origin = poses[tool][:3, 3]
+    first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
+    return np.asarray(given.handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * given.handle.axis)
 
 
 def explain_hold(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> str | None:
@@ -253,6 +278,6 @@ def list_clearances(hands: tuple[Hand, ...], given: GivenMechanism) -> tuple[tup
     return tuple(
         (BodyRef.of_link(link), BodyRef("mechanism", joint.link), HANDLE_MARGIN)
         for hand in hands
-        for link in (hand.hook, hand.link)
+        for link in hand.pushing_links
         for joint in given.mechanism.joints
     )

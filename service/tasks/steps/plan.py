@@ -182,7 +182,8 @@ class _Walk:
         n = self._plain.body.robot.n
         plain = self._place(self._plain, holding, state.at[:n])
         own = self._place(self._solver, holding, state.at)
-        phases, tried = plan_part(plain, own, self._demand.parts, named, state.at, state.values)
+        parts, busy = self._demand.parts, holding.busy
+        phases, tried = plan_part(plain, own, parts, named, state.at, state.values, busy)
         if holding.items or holding.stands is not None:
             phases = [replace(phase, phase=carry_along(phase.phase, holding), body=own.body) for phase in phases]
         order = tuple(phase.name for phase in phases)
@@ -234,8 +235,7 @@ class _Walk:
     def _take(self, index: int, step: GraspStep, state: _State) -> Iterator[_Done]:
         named, holding, at = self._steps[index], state.holding, state.at
         grippers = choose_grippers(self._setup.robot, step.hand, f"task.steps[{named.index}].grasp.hand")
-        busy = {tool for hold in holding.held.values() for tool in hold.tools}
-        grippers = tuple(gripper for gripper in grippers if gripper.tool not in busy)
+        grippers = tuple(gripper for gripper in grippers if gripper.tool not in holding.busy)
         pick, put = self._find_places(index, step, holding, at)
         own = self._solve(holding, at)
         body = own.solver.body

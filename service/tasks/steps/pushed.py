@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,7 @@ def plan_part(
     named: NamedStep,
     at: Float[np.ndarray, "n"],
     values: Float[np.ndarray, "k"],
+    busy: Set[str],
 ) -> tuple[list[PlannedPhase], Tried | None]:
     """Return the phases of a hand that pushes a part, and what was not solved.
 
@@ -45,6 +47,7 @@ def plan_part(
         named: the step.
         at: (n,) configuration at its beginning, with all parts.
         values: (k,) of the joints of all parts there.
+        busy: frames of hands that hold an object.
 
     Raises:
         RequestError: the robot has no such hand, or it does not touch the part.
@@ -54,7 +57,11 @@ def plan_part(
     n = plain.body.robot.n
     own = add_mechanism(replace(plain, body=replace(plain.body, nominal=at[:n])), given.mechanism)
     try:
-        hands = choose_hands(own.body, given)
+        chosen = choose_hands(own.body, given)
+        hands = tuple(hand for hand in chosen if hand.tool not in busy)
+        if not hands:
+            sides = " and ".join(hand.side for hand in chosen)
+            raise RequestError(f"task.mechanism.hand: the {sides} hand holds an object; expected a hand that is free")
         check_hold(own, hands, given)
     except (RequestError, RobotError) as error:
         raise RequestError(str(error).replace("task.mechanism", f"task.steps[{named.index}]")) from None
