@@ -144,6 +144,7 @@ def measure_change_to_pixel(target: str, browser: Browser, samples: int) -> list
 
 def measure_bytes(browser: Browser, event: str) -> list[int]:
     """Return the sizes of the updates of a kind that the page has got."""
+    browser.run("1")  # events are read with an answer
     frames = [
         e["params"]["response"]["payloadData"]
         for e in browser.events
