@@ -1,8 +1,8 @@
-"""The operator's page in a real browser: ``python -m benchmarks.console.page [--sessions N] [--pictures FOLDER]``.
+"""The operator's page in a real browser: ``python -m benchmarks.console.page [--part NAME] [--samples N]``.
 
-A server with a simulated robot, its console and a headless Chromium (that of the tests) on this machine: bytes of an
-update, time from a change at the robot to the page, the valve turned from its scan by a script, and sessions of random
-clicks and keys. Times are of the wall clock; state the machine's load with them.
+Each part starts a server with a simulated robot, its console and a headless Chromium (that of the tests): ``pose``,
+bytes of an update; ``watch``, time from a change at the robot to the page; ``valve``, turned from its scan by a script;
+``sessions`` of random clicks and keys. Times are of the wall clock; state the machine's load with them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -35,6 +36,8 @@ from planner_server import planner_server  # type: ignore[import-not-found]  # n
 
 VIEWER = "window.__viewer"
 FIXED = {"name": "atlas", "root": "fixed"}
+STANDING = {"robot": {"name": "atlas"}, "goal": {"joints": {"l_arm_elx": 1.2}}}
+Row = list[Any]
 ACTIONS = 15  # of a random session
 # What a hand does at random: a button that is there, a key, or another choice of a list.
 RANDOM_ACT = """((pick) => {
@@ -78,9 +81,37 @@ class Robot:
                 self.carried_out.add(state.plan.trajectory_sha256)
 
 
+@dataclass
+class Seat:
+    """A server with a robot, its console and a browser.
+
+    Attributes:
+        target, url: addresses of the server and of the page.
+        browser: with the page or without it.
+        pictures: folder for pictures; None for none.
+        seconds: after which no further random session begins.
+        seed: of the first random session.
+        failures: parts in which the robot did what it must not.
+    """
+
+    target: str
+    url: str
+    browser: Browser
+    pictures: Path | None
+    seconds: float = 600.0
+    seed: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def look(self, name: str) -> None:
+        """Take a picture, if there is a folder for it."""
+        if self.pictures is not None:
+            self.browser.settle()
+            self.browser.picture(self.pictures / f"{name}.png")
+
+
 @contextmanager
-def open_seat(scans: Path) -> Iterator[tuple[str, str, Browser]]:
-    """A server, its console and a browser; yields the server's address, the page's, and the browser."""
+def open_seat(scans: Path, pictures: Path | None) -> Iterator[Seat]:
+    """A server, its console and a browser, ended afterwards."""
     with tempfile.TemporaryDirectory(prefix="scopt-bench-") as scratch:
         folder = Path(scratch)
         with (
@@ -88,7 +119,7 @@ def open_seat(scans: Path) -> Iterator[tuple[str, str, Browser]]:
             console_of(server.address, scans) as url,
             open_browser(folder / "profile", (1280, 800)) as browser,
         ):
-            yield server.address, url, browser
+            yield Seat(server.address, url, browser, pictures)
 
 
 def measure_change_to_pixel(target: str, browser: Browser, samples: int) -> list[float]:
@@ -97,11 +128,12 @@ def measure_change_to_pixel(target: str, browser: Browser, samples: int) -> list
     with PlannerClient(target) as other:
         for k in range(samples):
             name = f"bench {k}"
-            browser.run(
+            browser.run(  # its value is not the promise, which would be awaited here
                 "window.__shown = new Promise((done) => { const at = document.querySelector('.robot-strip .holder'); "
                 f"const look = () => at.textContent.includes('{name}') && requestAnimationFrame(() => "
                 "done(performance.timeOrigin + performance.now())); "
-                "new MutationObserver(look).observe(at, { childList: true, characterData: true, subtree: true }); })"
+                "new MutationObserver(look).observe(at, { childList: true, characterData: true, subtree: true }); }); "
+                "true"
             )
             begun = time.time()
             other.take_control(name, takes_over=True)
@@ -112,6 +144,7 @@ def measure_change_to_pixel(target: str, browser: Browser, samples: int) -> list
 
 def measure_bytes(browser: Browser, event: str) -> list[int]:
     """Return the sizes of the updates of a kind that the page has got."""
+    browser.run("1")  # events are read with an answer
     frames = [
         e["params"]["response"]["payloadData"]
         for e in browser.events
@@ -175,52 +208,84 @@ def make_small_plan(target: str, folder: Path) -> None:
         client.review(client.get_plan(made.plan_id).record, accept=True, comment="for random clicks")
 
 
+def measure_pose(seat: Seat, n_samples: int) -> list[Row]:
+    """Sizes of the poses that a page gets while its robot moves."""
+    seat.browser.open(seat.url, is_drawn=False)
+    wait(seat.browser, f"{VIEWER}.robot !== null")
+    with PlannerClient(seat.target) as client, tempfile.TemporaryDirectory() as folder:
+        made = client.plan(parse_request(STANDING), out=Path(folder) / "out")
+        taken = client.take_control("bench", takes_over=True)
+        states = client.watch(lease=taken.lease)
+        revision = next(states).revision
+        sha256 = made.result.trajectory.sha256
+        client.execute(made.plan_id, sha256, lease=taken.lease, revision=revision, is_placed=True)
+        for state in states:
+            if wire.ExecutionMode.Name(state.status.mode) == "EXECUTION_MODE_DONE":
+                break
+        states.close()
+    sizes = measure_bytes(seat.browser, "measured")
+    worst = f"worst {max(sizes, default=0)}, {len(sizes)} of them"
+    return [["bytes of a measured pose of Atlas", f"{np.median(sizes):.0f}" if sizes else "-", worst]]
+
+
+def measure_watch(seat: Seat, n_samples: int) -> list[Row]:
+    """Times from a change at the robot to the page."""
+    seat.browser.open(seat.url, is_drawn=False)
+    wait(seat.browser, f"{VIEWER}.robot !== null")
+    times = measure_change_to_pixel(seat.target, seat.browser, n_samples)
+    return [["change at the robot to the page [ms]", f"{np.median(times):.0f}", f"p95 {np.percentile(times, 95):.0f}"]]
+
+
+def measure_valve(seat: Seat, n_samples: int) -> list[Row]:
+    """The valve from its scan to its turn."""
+    seconds, clicks = turn_valve(seat.browser, seat.url, seat.look)
+    return [["valve from its scan to its turn [s]", f"{seconds:.1f}", f"{clicks} clicks to an approved plan"]]
+
+
+def measure_sessions(seat: Seat, n_samples: int) -> list[Row]:
+    """Sessions of random clicks and keys, and what the robot did meanwhile."""
+    robot, shown, acts = Robot(seat.target), set[str](), 0
+    with tempfile.TemporaryDirectory() as folder:
+        make_small_plan(seat.target, Path(folder) / "out")
+    end, n_sessions = time.monotonic() + seat.seconds, 0
+    while n_sessions < n_samples and time.monotonic() < end:
+        acts += act_at_random(seat.browser, seat.url, seat.seed + n_sessions)
+        shown |= set(seat.browser.run(f"{VIEWER}.previewed"))
+        n_sessions += 1
+    unseen = robot.carried_out - shown
+    if "fallen" in robot.modes or unseen:
+        seat.failures.append("sessions")
+    return [
+        ["random sessions", f"{n_sessions}", f"{acts} clicks and keys, from seed {seat.seed}"],
+        ["falls", str(int("fallen" in robot.modes)), ""],
+        ["motions carried out", str(len(robot.carried_out)), f"{len(unseen)} not previewed"],
+    ]
+
+
+PARTS: dict[str, tuple[Callable[[Seat, int], list[Row]], int]] = {
+    "pose": (measure_pose, 1), "watch": (measure_watch, 20), "valve": (measure_valve, 1),
+    "sessions": (measure_sessions, 20),
+}  # fmt: skip
+
+
 def main() -> int:
-    """Print the tables; 1 if a random session had the robot do what it must not."""
+    """Print the table of each part; 1 if a random session had the robot do what it must not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sessions", type=int, default=20, help="of random clicks and keys")
-    parser.add_argument("--samples", type=int, default=20, help="of changes at the robot")
+    parser.add_argument("--part", action="append", choices=list(PARTS), help="by default all; repeatable")
+    parser.add_argument("--samples", type=int, help="of changes, or of sessions")
+    parser.add_argument("--seconds", type=float, default=600.0, help="after which no further session begins")
+    parser.add_argument("--seed", type=int, default=0, help="of the first session")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of the valve's drive")
-    parser.add_argument("--without-valve", action="store_true", help="leave the valve out, which takes a minute")
     options = parser.parse_args()
-    with open_seat(ROOT / "examples" / "data") as (target, url, browser):
-        robot = Robot(target)
-
-        def look(name: str) -> None:
-            if options.pictures is not None:
-                browser.settle()
-                browser.picture(options.pictures / f"{name}.png")
-
-        rows: list[list[Any]] = []
-        shown = set[str]()
-        if not options.without_valve:
-            seconds, clicks = turn_valve(browser, url, look)
-            rows.append(
-                ["valve from its scan to its turn [s]", f"{seconds:.1f}", f"{clicks} clicks to an approved plan"]
-            )
-            shown |= set(browser.run(f"{VIEWER}.previewed"))
-            sizes = measure_bytes(browser, "measured")
-            rows.append(
-                ["bytes of a measured pose", f"{np.median(sizes):.0f}", f"worst {max(sizes)}, {len(sizes)} of them"]
-            )
-        browser.open(url, is_drawn=False)
-        wait(browser, f"{VIEWER}.robot !== null")
-        times = measure_change_to_pixel(target, browser, options.samples)
-        rows.append(
-            ["change at the robot to the page [ms]", f"{np.median(times):.0f}", f"p95 {np.percentile(times, 95):.0f}"]
-        )
-        with tempfile.TemporaryDirectory() as folder:
-            make_small_plan(target, Path(folder) / "out")
-        acts = 0
-        for seed in range(options.sessions):
-            acts += act_at_random(browser, url, seed)
-            shown |= set(browser.run(f"{VIEWER}.previewed"))
-        unseen = robot.carried_out - shown
-        rows.append(["random sessions", f"{options.sessions}", f"{acts} clicks and keys"])
-        rows.append(["falls", str(int("fallen" in robot.modes)), ""])
-        rows.append(["motions carried out", str(len(robot.carried_out)), f"{len(unseen)} not previewed"])
-        print_table("The operator's page", ("", "", ""), rows)
-    return int("fallen" in robot.modes or bool(unseen))
+    failures: list[str] = []
+    for name in options.part or PARTS:
+        measure, usual = PARTS[name]
+        with open_seat(ROOT / "examples" / "data", options.pictures) as seat:
+            seat.seconds, seat.seed = options.seconds, options.seed
+            print_table(f"The operator's page: {name}", ("", "", ""), measure(seat, options.samples or usual))
+            sys.stdout.flush()
+            failures += seat.failures
+    return int(bool(failures))
 
 
 if __name__ == "__main__":

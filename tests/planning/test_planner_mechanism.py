@@ -38,12 +38,12 @@ from service.demands.recorded_task import MechanismDemand
 from service.demands.rest.phases import RestTask
 from service.demands.task_demand import World
 from service.errors import RequestError, ResultError
-from service.execution.reference import PlannedReference
 from service.planner import plan
 from service.replay.consistency import compare_figures
-from service.replay.replay import verify_result
+from service.replay.replay import read_motion, verify_result
 from service.replay.whole import certify_whole
 from service.request.file import load_request, parse_request, request_hash
+from service.result.folder import read_result
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.tasks.hints import find_anchor
@@ -470,4 +470,4 @@ def test_the_hash_of_a_motion_that_moves_a_mechanism_is_that_which_the_operator_
     drawer: tuple[PlanResult, Path],
 ) -> None:
     result, folder = drawer
-    assert hash_motion(PlannedReference.read(folder).motion) == result_to_message(result).trajectory.sha256
+    assert hash_motion(read_motion(read_result(folder), folder)) == result_to_message(result).trajectory.sha256

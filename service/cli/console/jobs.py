@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
+import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from service.cli.console.robot import Standstill
 from service.cli.console.sessions import OperatorSession
 from service.client import PlannerError
 from service.client.answers import check_result, read_verdict
 from service.errors import RequestError, ServiceError
+from service.execution.reference import PlannedReference
 from service.proto.planner.v1.planner_pb2 import PlanResponse
+from service.replay.adjust import adjust_shifted
+from service.replay.rest import make_rest_request, read_recorded_scan
 from service.request.schema import PlanRequest
 
 _LOG = logging.getLogger("scopt.console")
 MOST_JOBS = 20  # that a session remembers
 MOST_RUNNING = 4
+REST = "rest"  # in the place of a task's name
 TELL_EVERY_S = 0.1
 RUNNING = ("uploading", "queued", "planning")
 
@@ -42,6 +52,46 @@ def start_plan(session: OperatorSession, task: str, request: PlanRequest) -> dic
             del session.jobs[old]
     session.tasks[number] = asyncio.create_task(_follow(session, number, request))
     return dict(job)
+
+
+async def plan_rest(session: OperatorSession) -> dict[str, Any]:
+    """Begin the plan of the rest of what the robot carries out, from where it rests, and return it as pages draw it.
+
+    What a shifted foot or hand reaches for is displaced as far as its link was.
+
+    Raises:
+        ExecutionError: the robot carries out no plan, or moves.
+        RequestError, ResultError: the rest cannot be planned from there.
+        PlannerError: the server does not give the plan's files.
+    """
+    standstill = session.robot.find_standstill()
+    with tempfile.TemporaryDirectory(prefix="scopt-console-") as scratch:
+        folder = Path(scratch) / "plan"
+        await session.client.get_plan(standstill.plan_id, out=folder)
+        request = await asyncio.to_thread(make_rest, folder, standstill)
+    return start_plan(session, REST, request)
+
+
+def make_rest(folder: Path, standstill: Standstill) -> PlanRequest:
+    """Return the request for the rest of the plan in a folder, from where the robot rests in it.
+
+    Raises:
+        RequestError, ResultError: the rest cannot be planned from there.
+    """
+    reference = PlannedReference.read(folder)
+    moved = reference.at(standstill.clock_s).mechanism.tolist()
+    state = {**standstill.start, "mechanism": dict(zip(reference.mechanism_names, moved, strict=True))}
+    file = folder.with_name("state.json")
+    file.write_text(json.dumps(state))
+    request = make_rest_request(folder, standstill.phase, file)
+    if read_recorded_scan(folder, request) is not None:
+        raise RequestError(
+            "the plan's scan shows the robot where the plan began; its rest needs a new scan: scan again, and plan the "
+            "task in its tab, or use scopt plan --from-phase with --cloud"
+        )
+    for link, offset in standstill.shifts.items():
+        request = adjust_shifted(request, link, np.array(offset))
+    return request
 
 
 def cancel_plan(session: OperatorSession, number: int) -> None:

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass as checked
 
 from service.cli.console.cameras import take_picture
 from service.cli.console.inbox import execute_plan, list_inbox, open_plan, review_plan
-from service.cli.console.jobs import cancel_plan, start_plan
+from service.cli.console.jobs import cancel_plan, plan_rest, start_plan
 from service.cli.console.order import Console, Nothing, PageOrder
 from service.cli.console.pose_orders import POSE_ORDERS
 from service.cli.console.scans import (
@@ -254,6 +254,10 @@ async def _plan(console: Console, session: OperatorSession, order: PlanOrder) ->
     return start_plan(session, order.task, request)
 
 
+async def _plan_rest(console: Console, session: OperatorSession, order: Nothing) -> Any:
+    return await plan_rest(session)
+
+
 async def _cancel(console: Console, session: OperatorSession, order: CancelOrder) -> Any:
     cancel_plan(session, order.job)
     return {}
@@ -298,6 +302,7 @@ ORDERS: Mapping[str, PageOrder[Any]] = {
     "detect": PageOrder(DetectOrder, _detect),
     "move_hit": PageOrder(MoveHitOrder, _move_hit),
     "plan": PageOrder(PlanOrder, _plan),
+    "plan_rest": PageOrder(Nothing, _plan_rest),
     "cancel": PageOrder(CancelOrder, _cancel),
     "take": PageOrder(TakeOrder, _take),
     "execute": PageOrder(ExecuteOrder, _execute),

@@ -6,6 +6,7 @@ import asyncio
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import aclosing, suppress
+from dataclasses import dataclass
 from typing import Any
 
 from grpc import StatusCode
@@ -27,8 +28,29 @@ UNDER_WAY = (
     ExecutionMode.EXECUTION_MODE_RETURNING,
     ExecutionMode.EXECUTION_MODE_HOLDING,
 )
+# Modes in which a plan can be gone on with from where the robot is, and those in which it is over for good.
+AT_REST = (ExecutionMode.EXECUTION_MODE_PAUSED, ExecutionMode.EXECUTION_MODE_ABORTED)
+OVER = (ExecutionMode.EXECUTION_MODE_DONE, ExecutionMode.EXECUTION_MODE_FALLEN, ExecutionMode.EXECUTION_MODE_LOST)
 # No robot, none for a caller of this role, or a server from before there were any.
 NO_ROBOT = (StatusCode.FAILED_PRECONDITION, StatusCode.PERMISSION_DENIED, StatusCode.UNIMPLEMENTED)
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """Where the robot rests in a plan.
+
+    Attributes:
+        plan_id, phase: of the plan that it carries out, or was stopped in.
+        clock_s: of the plan [s].
+        start: measured joints, and base if it floats, as a request's ``start``.
+        shifts: displacement of each shifted link in world axes [m].
+    """
+
+    plan_id: str
+    phase: str
+    clock_s: float
+    start: dict[str, Any]
+    shifts: dict[str, list[float]]
 
 
 class RobotSeat:
@@ -94,15 +116,25 @@ class RobotSeat:
         if state.status.mode in UNDER_WAY:
             mode = describe_state(state)["mode"]
             raise ExecutionError(f"the robot is {mode}; a move begins where it rests: wait, or stop it")
-        pose = state.pose
-        start: dict[str, Any] = {
-            "joint_names": list(state.plan.joint_names),
-            "positions": [float(value) for value in pose.planned],
-        }
-        if pose.planned_base:
-            x, y, z, *quaternion = (float(value) for value in pose.planned_base)
-            start["base"] = {"position": [x, y, z], "quaternion_wxyz": quaternion}
-        return start
+        return _make_start(state, state.pose.planned, state.pose.planned_base)
+
+    def find_standstill(self) -> Standstill:
+        """Return where in a plan the robot rests.
+
+        Raises:
+            ExecutionError: it carries out no plan, is at the plan's end, or moves.
+        """
+        state = self._state
+        if state is None or not state.plan.plan_id or not state.pose.measured:
+            raise ExecutionError("the robot carries out no plan; there is no rest to plan")
+        told = describe_state(state)
+        if state.status.mode not in AT_REST or state.pose.rate != 0.0:
+            hint = (
+                "there is no rest to plan" if state.status.mode in OVER else "pause it first, and wait until it rests"
+            )
+            raise ExecutionError(f"the robot is {told['mode']}; {hint}")
+        start = _make_start(state, state.pose.measured, state.pose.measured_base)
+        return Standstill(state.plan.plan_id, state.status.phase, state.pose.clock_s, start, told["shifts"])
 
     async def take(self, takes_over: bool) -> int:
         """Take control, and return the revision once the server sees that its operator watches.
@@ -228,6 +260,18 @@ class RobotSeat:
     def _lose(self, text: str) -> None:
         self._lease = ""
         self._surprises.append(text)
+
+
+def _make_start(state: WatchResponse, positions: Sequence[float], base: Sequence[float]) -> dict[str, Any]:
+    """Return a pose of the robot as a request's ``start``; ``base`` is empty for a fixed one."""
+    start: dict[str, Any] = {
+        "joint_names": list(state.plan.joint_names),
+        "positions": [float(value) for value in positions],
+    }
+    if base:
+        x, y, z, *quaternion = (float(value) for value in base)
+        start["base"] = {"position": [x, y, z], "quaternion_wxyz": quaternion}
+    return start
 
 
 def find_surprises(before: WatchResponse, after: WatchResponse) -> list[str]:

@@ -1,5 +1,5 @@
 // The strip on top of every screen: what the robot does, who has control, orders, and what changed behind the operator.
-import { RobotState, UNDER_WAY, sayRobot } from "./console-data";
+import { Job, RUNNING, RobotState, UNDER_WAY, sayRobot } from "./console-data";
 import { Link } from "./console-link";
 import { Measured } from "./console-pose-data";
 import { ShiftPanel } from "./console-shift";
@@ -12,6 +12,7 @@ export class RobotStrip {
   readonly element = el("div", "robot-strip");
   state: RobotState | null = null;
   onState: () => void = () => {};
+  onRest: (plan_id: string) => void = () => {};  // once the rest is planned
   private readonly mode = el("b", "mode");
   private readonly line = el("span", "line");
   private readonly holder = el("span", "holder");
@@ -29,7 +30,10 @@ export class RobotStrip {
   private readonly abort = button("", "Go back", "Back to the last pose in balance, where the execution ends", () => void this.command("abort"));
   private readonly stop = button("stop", "Stop", "The robot comes to rest, and the execution ends there", () => void this.command("stop"));
   private readonly shift = new ShiftPanel((link, offset_m) => this.command("shift", { link, offset_m }));
-  private readonly uncertified = el("div", "uncertified");
+  private readonly shifted = el("span");
+  private readonly rest = button("", "Plan the rest", "Plan the rest from where the robot is, with what was shifted displaced as far", () => void this.planRest());
+  private readonly uncertified = el("div", "uncertified", this.shifted, this.rest);
+  private job: Job | null = null;  // of the rest, while it is planned
   private answered = 0;  // revision of the newest answer, which may come before its state
 
   constructor(private readonly link: Link) {
@@ -86,7 +90,8 @@ export class RobotStrip {
     this.shift.show(state, this.mayOrder);
     const shifted = Object.entries(state.shifts).map(([link, offset]) => `${words(link)} by ${offset.map((value) => value.toFixed(3)).join(", ")} m`);
     this.uncertified.hidden = shifted.length === 0;
-    this.uncertified.textContent = `UNCERTIFIED: ${shifted.join("; ")} from the plan. To go on with a certificate, take it back, or stop and plan the rest with the object moved.`;
+    this.shifted.textContent = `UNCERTIFIED: ${shifted.join("; ")} from the plan. To go on with a certificate, take it back, or pause and plan the rest with the object moved; stop before it is executed. `;
+    this.rest.disabled = !["paused", "aborted"].includes(state.mode) || this.job !== null;
     if (document.activeElement !== this.speed) this.speed.value = String(SPEEDS.reduce((best, share) => (Math.abs(share - state.speed) < Math.abs(best - state.speed) ? share : best)));
   }
 
@@ -103,6 +108,25 @@ export class RobotStrip {
     } catch (error) {
       this.say(error instanceof Error ? error.message : String(error), "bad");
     }
+  }
+
+  private async planRest(): Promise<void> {
+    try {
+      this.follow(await this.link.order<Job>("plan_rest"));
+    } catch (error) {
+      this.say(error instanceof Error ? error.message : String(error), "bad");
+    }
+  }
+
+  // What becomes of the plan of the rest.
+  follow(job: Job): void {
+    if (job.task !== "rest" || (this.job === null && !RUNNING.includes(job.state))) return;
+    this.job = RUNNING.includes(job.state) ? job : null;
+    this.rest.disabled = this.job !== null;
+    if (this.job) this.say(["the rest", job.state, job.step].filter(Boolean).join(" · "), "");
+    else if (job.state === "finished") this.say(`the rest is planned: ${job.verdict}`, "");
+    else this.say(job.error || "the plan of the rest was stopped", "bad");
+    if (job.state === "finished") this.onRest(job.plan_id);
   }
 
   private say(text: string, kind: string): void {

@@ -46,6 +46,7 @@ class ConsolePage {
   constructor(private readonly settings: Settings) {
     this.link = new Link(settings.version);
     this.robot = new RobotStrip(this.link);
+    this.robot.onRest = (plan_id) => void this.open(plan_id);
     this.cameras = new CameraPanel(this.link);
     document.documentElement.dataset.theme = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
     document.body.classList.add("console");
@@ -123,6 +124,7 @@ class ConsolePage {
   private follow(job: Job): void {
     this.tab?.follow(job);
     this.pose?.follow(job);
+    this.robot.follow(job);
   }
 
   private async refresh(): Promise<void> {
