@@ -111,7 +111,10 @@ class PlannedReference:
         self.mechanism_names: tuple[str, ...] = motion.robot.joint_names[self._moved]
         self.duration_s = float(law.times[-1] - law.times[0])
         self._start_s = float(law.times[0])
-        self.phases: tuple[ReferencePhase, ...] = tuple(self._read_phase(phase) for phase in self._planned)
+        self._parts = split_motion(motion)
+        self.phases: tuple[ReferencePhase, ...] = tuple(
+            self._read_phase(part, phase) for part, phase in zip(self._parts, self._planned, strict=True)
+        )
         self._grid = np.linspace(0.0, self.duration_s, max(int(np.ceil(self.duration_s / TABLE_STEP_S)), 1) + 1)
         path, speed, _ = law.at(self._grid + self._start_s)
         q, v = motion.curve(path), motion.curve(path, 1) * speed[:, None]
@@ -176,16 +179,16 @@ class PlannedReference:
         )
         return q, qd, tau
 
-    def _read_phase(self, phase: Phase) -> ReferencePhase:
+    def _read_phase(self, part: Motion, phase: Phase) -> ReferencePhase:
         begin, end = (float(t) - self._start_s for t in find_times(self._law, np.array([phase.first, phase.last])))
         speed = float(self._law.at(np.array([end + self._start_s]))[1][0])
         rests = speed <= RESTING_RATE * float(self._law.speed.max())
-        return ReferencePhase(phase.name, begin, end, phase.contacts, limit_loads(self.motion, phase), rests)
+        return ReferencePhase(phase.name, begin, end, phase.contacts, limit_loads(part, phase), rests)
 
     def _tabulate_forces(self) -> tuple[Float[np.ndarray, "G n"], dict[str, Float[np.ndarray, "G 6"]]]:
         """Return generalised forces, and contact wrenches by link, on the grid."""
-        motion, law, phases = self.motion, self._law, self._planned
-        parts, grips = split_motion(motion), GripForces(motion)
+        motion, law, phases, parts = self.motion, self._law, self._planned, self._parts
+        grips = GripForces(motion)
         links = list(dict.fromkeys(contact.link for phase in phases for contact in phase.contacts))
         times: list[np.ndarray] = []
         torques: list[np.ndarray] = []

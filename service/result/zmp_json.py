@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.curve import TimeLaw
-from service.verify import Motion, Phase, SupportPolygon, VerifySettings, compute_forces, find_times, list_sample_times
+from service.verify import (
+    Motion,
+    Phase,
+    SupportPolygon,
+    VerifySettings,
+    compute_forces,
+    find_times,
+    list_sample_times,
+    split_motion,
+)
 
 _SAME_S = 1e-9  # times that differ by less are equal
 
@@ -71,12 +80,13 @@ def zmp_json(motion: Motion, s: Float[np.ndarray, "S"]) -> tuple[list[list[float
         motion: the motion.
         s: path parameters of the exported samples.
     """
-    standing = [(phase, phase.support) for phase in motion.phases if phase.support is not None]
+    parts = zip(motion.phases, split_motion(motion), strict=False)  # with what hands carry; one part without phases
+    standing = [(part, phase, phase.support) for phase, part in parts if phase.support is not None]
     law = motion.law
     if law is None:
         return [None] * len(s), [{"times": [], "points": []} for _ in standing]
     times = find_times(law, s)
-    tracks = [PhaseZmp.of(motion, law, phase, support) for phase, support in standing]
+    tracks = [PhaseZmp.of(part, law, phase, support) for part, phase, support in standing]
     ends = np.concatenate([times[:1], times, times[-1:]])
     ends[-2:] = np.nextafter(times[-1], np.inf)  # include the last sample in its interval
     rows = []

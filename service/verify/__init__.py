@@ -101,6 +101,7 @@ from service.verify.forces.hand_loads import (
 )
 from service.verify.forces.load_limits import (
     LoadLimits,
+    find_loaded_hand,
     limit_loads,
 )
 from service.verify.forces.loaded_balance import (
@@ -291,6 +292,7 @@ __all__ = [
     "find_ground_gaps",
     "find_jamming_angle",
     "find_limited_joints",
+    "find_loaded_hand",
     "find_mechanism_joints",
     "find_normals",
     "find_pushed_body",

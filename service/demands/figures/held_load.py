@@ -7,7 +7,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.contact import GRAVITY, WorldContacts
-from service.verify import Ground, Motion, Phase, compute_forces, find_times, list_load_cases
+from service.verify import Ground, Motion, Phase, compute_forces, find_times, list_load_cases, split_motion
 
 N_SAMPLES = 9  # per phase
 MOST = 20.0  # times the stated load
@@ -20,9 +20,9 @@ def find_held_shares(motion: Motion) -> dict[str, float]:
     estimate at samples, not part of the certificate.
     """
     shares: dict[str, float] = {}
-    for phase in motion.phases:
+    for phase, part in zip(motion.phases, split_motion(motion), strict=False):  # a load may be on what a hand holds
         if phase.loads:
-            share = _find_share(motion, phase)
+            share = _find_share(part, phase)
             shares |= {load.link: min(share, shares.get(load.link, share)) for load in phase.loads}
     return shares
 

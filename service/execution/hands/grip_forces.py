@@ -44,7 +44,7 @@ def _press(prepared: PreparedMotion, phase: Phase, carrier: Carrier) -> Float[np
     """Return the torques with which the fingers of a carrier press along the normals of their pads."""
     motion = prepared.motion
     item = next(item for item in motion.objects if item.name == carrier.item)
-    held = Held(prepared, item, carrier)
+    held = Held(prepared, item, carrier, ())
     robot, model = motion.robot, motion.robot.model
     data, torque = borrow_data(model), np.zeros(robot.n)
     pin.forwardKinematics(model, data, motion.curve(np.array([phase.first]))[0])

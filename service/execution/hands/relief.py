@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +13,7 @@ from costs.robot import RobotModel
 from service.errors import ExecutionError
 from service.execution.offset import OffsetFilter
 from service.request.fields import HAND_FRICTION
-from service.verify import HandLoad, Phase
+from service.verify import HandLoad, Phase, find_loaded_hand
 
 WORKING = 0.1  # cosine between a load and the way of its place from which on it moves the mechanism
 
@@ -145,7 +145,8 @@ class HandRelief:
 
     def _sort_loads(self, phase: Phase, hands: Sequence[str]) -> tuple[_Load, ...]:
         loads = []
-        for load in phase.loads:
+        at_hands = (replace(load, tool=find_loaded_hand(phase, load)) for load in phase.loads)  # where it is measured
+        for load in at_hands:
             joint = self._model.frames[self._model.getFrameId(load.tool)].parentJoint
             carried = list(self._model.supports[joint])
             hand = next(

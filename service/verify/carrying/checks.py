@@ -82,7 +82,7 @@ def _check_rest(prepared: PreparedMotion, phase: Phase, item: MovableObject, res
 def _check_grips(
     prepared: PreparedMotion, phase: Phase, item: MovableObject, carrier: Carrier, settings: VerifySettings
 ) -> Iterator[Check]:
-    held, proof = Held(prepared, item, carrier), PhaseProof(prepared, phase, settings)
+    held, proof = Held(prepared, item, carrier, phase.loads), PhaseProof(prepared, phase, settings)
     pads = held.list_pads(phase.first)
     fingers = tuple(pad.finger for pad in pads)
     centre = held.centre
@@ -110,15 +110,17 @@ def _check_grips(
     failure = f"{hands} move by {1e3 * still.sampled:.1f} mm on {item.name} during {phase.name}"
     yield proof.check(name, still, STILL_M, "m", text, None, names=(*fingers, item.name), failure=failure)
     balance, weight = GripBalance(pads, centre), GRAVITY * item.inertia.mass
-    most = float(np.linalg.norm(balance.find_force_shares(weight)))
+    most = held.measure_turning(balance)
     chain = prepared.tree.chain(0, held.body.joint, np.zeros((1, 3)))
     turning = replace(chain, reach=np.where(chain.is_revolute, 1.0, 0.0))
     known: dict[float, float] = {}
 
     def share(s: np.ndarray) -> np.ndarray:
         new = [place for place in dict.fromkeys(s.tolist()) if place not in known]
-        for place, down in zip(new, held.find_down(np.array(new)), strict=True):
-            known[place] = balance.find_share(np.concatenate([-weight * down, np.zeros(3)]))
+        pressing = np.moveaxis(held.list_pressing(np.array(new)), 0, 1)
+        for place, down, corners in zip(new, held.find_down(np.array(new)), pressing, strict=True):
+            rest = np.concatenate([-weight * down, np.zeros(3)])
+            known[place] = max(balance.find_share(rest + corner) for corner in corners)
         return np.array([known[place] for place in s.tolist()])
 
     def more(begin: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -128,6 +130,9 @@ def _check_grips(
     weighed = proof.bound_convex(share, more, 1.0, _SHARE_RESOLUTION)
     grip = min(grip.force_n for grip in carrier.grips)
     what = f"{item.name} of {item.inertia.mass:g} kg during {phase.name}"
+    if held.loads:
+        force = float(np.linalg.norm(np.sum([load.force for load in held.loads], axis=0)))
+        what = f"{item.name} of {item.inertia.mass:g} kg, which presses with up to {force:.3g} N, during {phase.name}"
     text = f"{hands} hold {what} with {100.0 * weighed.bound:.0f} % of {grip:g} N"
     failure = f"{hands} do not hold {what}: {_describe_need(weighed.sampled, grip)}"
     name, names = f"carried.{phase.name}.{item.name}", (*fingers, item.name)
@@ -148,7 +153,8 @@ def _check_swing(
     value, row = float(shares[worst]), int(chosen[worst])
     item = held.item
     where = Where(float(s[row]), float(times[row]), None, (item.name,))
-    text = f"the grip holds {item.name} as it moves during {phase.name} ({len(times)} samples)"
+    count = len(np.unique(times))
+    text = f"the grip holds {item.name} as it moves during {phase.name} ({count} samples)"
     if value > 1.0:
         text = f"the grip lets {item.name} slip as it moves during {phase.name}: {_describe_need(value, grip)}"
     value = min(value, 1e3)
@@ -167,7 +173,7 @@ def find_grip_slowdown(motion: Motion, phase: Phase, settings: VerifySettings) -
     items = {item.name: item for item in motion.objects}
     placed, factor = PreparedMotion(motion).in_phase(phase), 1.0
     for carrier in carriers:
-        held = Held(placed, items[carrier.item], carrier)
+        held = Held(placed, items[carrier.item], carrier, phase.loads)
         pads = held.list_pads(phase.first)
         if max(abs(pad.gap) for pad in pads) > PAD_GAP_M:
             continue
@@ -187,7 +193,10 @@ def find_grip_slowdown(motion: Motion, phase: Phase, settings: VerifySettings) -
 def _list_wrenches(
     prepared: PreparedMotion, phase: Phase, held: Held, settings: VerifySettings
 ) -> tuple[Float[np.ndarray, "S"], Float[np.ndarray, "S"], Float[np.ndarray, "S 6"], Float[np.ndarray, "S 6"]]:
-    """Return times, path parameters, and the wrenches that an object demands as it moves and at rest, at samples."""
+    """Return times, path parameters, and the wrenches that an object demands as it moves and at rest, at samples.
+
+    Each sample comes once per corner of what the object presses with.
+    """
     motion, law = prepared.motion, prepared.motion.law
     assert law is not None
     times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
@@ -196,7 +205,11 @@ def _list_wrenches(
     states = zip(q, slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True)
     moving = np.array([held.find_moving_wrench(*state) for state in states])
     still = np.zeros(q.shape[1])
-    return times, s, moving, np.array([held.find_moving_wrench(each, still, still) for each in q])
+    resting = np.array([held.find_moving_wrench(each, still, still) for each in q])
+    corners = held.list_pressing(s)
+    many = len(corners)
+    moved, rested = ((corners + own).reshape(-1, 6) for own in (moving, resting))
+    return np.tile(times, many), np.tile(s, many), moved, rested
 
 
 def _describe_need(share: float, grip: float) -> str:

@@ -1,13 +1,14 @@
 """Proof that a carried object does not slip: pads lie on it, stay there, and hold its weight inside their cones.
 
-While an object is carried nothing of the contact changes but the direction of gravity, as seen from the object.  The
+They hold what it presses against as well: the loads of a phase whose tool is the object.  While an object is carried
+nothing of the contact changes but the directions of gravity and of these forces, as seen from the object.  The
 least force per finger that a wrench needs is a linear program; as a function of the wrench it is convex and grows in
 proportion to it, so that its value between two poses is at most that at one of them plus what the difference needs.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -18,15 +19,17 @@ from costs.robot.carried import MovableObject
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
+from service.verify.forces.hand_loads import list_offsets
 from service.verify.forces.pads import PATCH_DEPTH_M, find_patch
 from service.verify.forces.rounded import list_round_contact, shrink_hull
 from service.verify.frame_paths import FramePath
-from service.verify.motion import HandContact, Motion, VerifyError
+from service.verify.motion import WORLD, HandContact, HandLoad, Motion, VerifyError
 from service.verify.prepared_motion import PreparedMotion
 
 GRAVITY = 9.81
 SIDES = 8  # of the pyramids inside friction cones
 ARM_M = 0.05  # a moment of 1 N m counts like a force of 1 / 0.05 N in the program
+LOAD_OFF_M = 4e-3  # farthest from an object's origin that what it presses against acts, across the force
 
 
 @dataclass(frozen=True)
@@ -51,20 +54,28 @@ class Pad:
 class Held:
     """An object in the grips of its carrier during a phase."""
 
-    def __init__(self, prepared: PreparedMotion, item: MovableObject, carrier: Carrier) -> None:
+    def __init__(
+        self, prepared: PreparedMotion, item: MovableObject, carrier: Carrier, loads: tuple[HandLoad, ...]
+    ) -> None:
         """Prepare.
 
         Args:
             prepared: with the object as a link of the robot.
             item: the object.
             carrier: of the phase.
+            loads: of the phase.
 
         Raises:
-            VerifyError: the carrier names no grip, or a finger that the robot does not have.
+            VerifyError: the carrier names no grip, or a finger that the robot does not have; the object presses on a
+                mechanism.
         """
         if not carrier.grips:
             raise VerifyError(f"'{carrier.link}' carries '{item.name}' without a grip")
         self.prepared, self.item, self.carrier = prepared, item, carrier
+        self.loads = tuple(load for load in loads if load.tool == item.name)
+        for load in self.loads:
+            if load.link != WORLD:
+                raise VerifyError(f"'{item.name}' presses on '{load.link}'; expected a load on the world")
         robot = prepared.motion.robot
         self.body = next(body for body in robot.bodies if body.name == item.name)
         self.frame = robot.model.frames[robot.model.getFrameId(item.name)]
@@ -101,6 +112,34 @@ class Held:
         """Return the direction of gravity in the frame of the joint that carries the object."""
         placed, rows = self.prepared.at(s)
         return np.asarray(-placed.rotation[rows, self.body.joint][:, 2])
+
+    def list_pressing(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "K S 6"]:
+        """Return corners of the wrenches with which the object presses, the first of which is none.
+
+        Force and moment about its centre of mass, in the frame of the joint that carries the object [N, N m].  Each load
+        has any size up to its largest, and acts anywhere within ``LOAD_OFF_M`` of the object's origin.
+        """
+        placed, rows = self.prepared.at(s)
+        turn = placed.rotation[rows, self.body.joint]
+        arm = self.frame.placement.translation - self.centre
+        corners = [np.zeros((len(s), 6))]
+        for load in self.loads:
+            force = load.force @ turn
+            places = replace(load, drift_m=LOAD_OFF_M)
+            own = [np.cross(arm + off @ turn, force) for off in list_offsets(places)]
+            corners += [before + np.hstack([force, moment]) for before in tuple(corners) for moment in own]
+        return np.stack(corners)
+
+    def measure_turning(self, balance: GripBalance) -> float:
+        """Return by how much the share that the grips need changes at most per angle that the object turns [1/rad]."""
+        most = float(np.linalg.norm(balance.find_force_shares(GRAVITY * self.item.inertia.mass)))
+        arm = self.frame.placement.translation - self.centre
+        for load in self.loads:
+            size = float(np.linalg.norm(load.force))
+            farthest = float(np.linalg.norm(arm)) + np.sqrt(2.0) * LOAD_OFF_M
+            forces, moments = balance.find_force_shares(size), balance.find_moment_shares(size * farthest)
+            most += float(np.linalg.norm(forces) + np.linalg.norm(moments))
+        return most
 
     def find_moving_wrench(
         self, q: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], a: Float[np.ndarray, "n"]
@@ -164,8 +203,14 @@ class GripBalance:
 
     def find_force_shares(self, force_n: float) -> Float[np.ndarray, "3"]:
         """Return the largest share that a force of a size needs along each axis, in either sense."""
-        unit = np.eye(6)[:3] * force_n
-        return np.array([max(self.find_share(row), self.find_share(-row)) for row in unit])
+        return self._find_shares(np.eye(6)[:3] * force_n)
+
+    def find_moment_shares(self, moment_nm: float) -> Float[np.ndarray, "3"]:
+        """Return the largest share that a moment of a size needs about each axis, in either sense."""
+        return self._find_shares(np.eye(6)[3:] * moment_nm)
+
+    def _find_shares(self, wrenches: Float[np.ndarray, "3 6"]) -> Float[np.ndarray, "3"]:
+        return np.array([max(self.find_share(row), self.find_share(-row)) for row in wrenches])
 
 
 def _lay(

@@ -16,8 +16,9 @@ from jaxtyping import Float
 
 from costs.curve import TimeLaw
 from costs.robot.model import RobotModel
+from service.verify.carrying.placing import split_motion
 from service.verify.certificate import Check
-from service.verify.forces.load_limits import LoadLimits, limit_loads
+from service.verify.forces.load_limits import LoadLimits, find_loaded_hand, limit_loads
 from service.verify.frame_paths import FramePath
 from service.verify.motion import Approach, Motion, Phase, VerifySettings
 from service.verify.phase_proof import PhaseProof, bound_largest
@@ -87,8 +88,9 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
             for tool in list_tools(motion.robot)
         ]
     if motion.pace is not None:
-        for before, after in pairwise(phases):
-            pressing = {load.tool for load in before.loads}
+        parts = zip(split_motion(motion), phases, strict=True)
+        for (_, before), (part, after) in pairwise(parts):
+            pressing = {find_loaded_hand(before, load) for load in before.loads}
             speeds += [
                 FrameSpeed(
                     f"approach.{before.name}.{limit.tool}",
@@ -98,7 +100,7 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
                     limit_approach(limit, motion.approach),
                     NEAR_M,
                 )
-                for limit in limit_loads(motion, after)
+                for limit in limit_loads(part, after)
                 if limit.tool not in pressing
             ]
     return tuple(speeds)

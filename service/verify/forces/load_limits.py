@@ -49,17 +49,32 @@ class LoadLimits:
 
 
 def limit_loads(motion: Motion, phase: Phase) -> tuple[LoadLimits, ...]:
-    """Return expected force and cap of each tool that carries loads in a phase; the weakest of five samples counts."""
+    """Return expected force and cap of each hand that carries loads in a phase; the weakest of five samples counts.
+
+    Args:
+        motion: of the phase, with what hands hold as links of its robot.
+        phase: a load on what a hand holds is a load of that hand.
+    """
     if not phase.loads:
         return ()
     q = motion.curve(np.linspace(phase.first, phase.last, N_SAMPLES))
     limits = []
-    for tool in dict.fromkeys(load.tool for load in phase.loads):
-        own = tuple(load for load in phase.loads if load.tool == tool)
+    hands = [find_loaded_hand(phase, load) for load in phase.loads]
+    for tool in dict.fromkeys(hands):
+        own, others = (
+            tuple(load for load, hand in zip(phase.loads, hands, strict=True) if (hand == tool) == is_own)
+            for is_own in (True, False)
+        )
         links = tuple(dict.fromkeys(load.link for load in own))
         largest = max(float(size.max()) for size in _measure_sums(motion, own, q))
-        limits.append(LoadLimits(tool, links, largest, _find_cap(motion, phase, own, q)))
+        limits.append(LoadLimits(tool, links, largest, _find_cap(motion, phase, own, others, q)))
     return tuple(limits)
+
+
+def find_loaded_hand(phase: Phase, load: HandLoad) -> str:
+    """Return the frame of the robot that a load acts on: its tool, or the hand that holds it."""
+    held = {carrier.item: carrier.link for carrier in phase.carriers}
+    return held.get(load.tool) or load.tool
 
 
 def _measure_sums(
@@ -81,14 +96,19 @@ def _measure_force(case: LoadCase) -> Float[np.ndarray, "S"]:
     return np.asarray(np.linalg.norm(case.wrench[:, :3], axis=1))
 
 
-def _find_cap(motion: Motion, phase: Phase, own: tuple[HandLoad, ...], q: Float[np.ndarray, "S n"]) -> float:
-    """Return the largest force of one tool's loads that ground and torques hold at rest at all samples [N].
+def _find_cap(
+    motion: Motion,
+    phase: Phase,
+    own: tuple[HandLoad, ...],
+    others: tuple[HandLoad, ...],
+    q: Float[np.ndarray, "S n"],
+) -> float:
+    """Return the largest force of one hand's loads that ground and torques hold at rest at all samples [N].
 
-    All loads of the tool grow in proportion; those of other tools are as expected.
+    All loads of the hand grow in proportion; those of other hands are as expected.
     """
     zero = np.zeros_like(q)
     inverse = compute_inverse_dynamics(motion, q, zero, zero)
-    others = tuple(load for load in phase.loads if load.tool != own[0].tool)
     rest, torque = _apply_loads(motion, others, q, inverse.wrench, inverse.torque, inverse.jacobians, 1.0)
     full, loaded = _apply_loads(motion, own, q, rest, torque, inverse.jacobians, MOST_LOAD)
     limited = find_limited_joints(motion)
