@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,6 @@ HAND_FRICTION = 0.3  # between a hand and a mechanism, where no request says it
 LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6  # of a link without mass [kg, kg m^2]
 LEAST_VOLUME = 1e-9  # of a hull that gets a shape [m^3]
 CUT_M = 0.01  # depth in a piece from which on a link is taken to cut it, not to touch it [m]
-CUTS = 2  # of MuJoCo's contact types: such links meet the robot, not the world
 IMU = "imu"
 SPOKE = "/spoke/"  # in the names of a wheel's bodies
 SPOKE_SIZE = (0.01, 0.05, 0.03)  # of an assumed spoke: across, along the radius, along the axis [m]
@@ -110,7 +110,10 @@ class SpecBuilder:
                     pos=[middle[0] + moved[0], middle[1] + moved[1], top + moved[2]],
                 )
             else:
-                self._add_hull(self.spec.worldbody, piece.name, ("world", piece.name), piece.vertices + moved)
+                holder = self.spec.worldbody
+                if any(piece.name == cut for _, cut in self.cut_pairs):  # only bodies can be left out of contacts
+                    holder = holder.add_body(name=f"piece:{piece.name}")
+                self._add_hull(holder, piece.name, ("world", piece.name), piece.vertices + moved)
 
     def add_objects(self) -> None:
         """Add what hands carry as free bodies at their start, on what they rest on."""
@@ -205,20 +208,27 @@ class SpecBuilder:
         self.base_link = at_base[0] if at_base else ""
 
     @cached_property
-    def cutting(self) -> frozenset[str]:
-        """Links that the plan lets into pieces deeper than anything that touches: they pass through the world."""
+    def cut_pairs(self) -> frozenset[tuple[str, str]]:
+        """Links and the pieces into which the plan lets them deeper than what touches: they pass through these."""
         phases = [phase for phase in self.motion.phases if phase.name not in UNSETTLED]
         planted = {contact.link for phase in phases for contact in phase.contacts}
-        deep = [own for phase in phases for own in phase.allowances if own.depth > CUT_M]
-        into_world = (own for own in deep if "scene" in (own.first.owner, own.second.owner))
-        links = {ref.link for own in into_world for ref in (own.first, own.second) if ref.link is not None}
-        return frozenset(links - planted)
+        pairs = set()
+        for own in (own for phase in phases for own in phase.allowances if own.depth > CUT_M):
+            links = {ref.link for ref in (own.first, own.second) if ref.link is not None} - planted
+            pieces = {ref.body for ref in (own.first, own.second) if ref.owner == "scene" and ref.body is not None}
+            pairs |= set(product(links, pieces))
+        return frozenset(pairs)
 
     def exclude_pairs(self) -> None:
-        """Exclude the pairs of links that the robot's description leaves out."""
+        """Exclude the pairs of links that the robot's description leaves out, and what the plan cuts."""
         for first, second in sorted(self.robot.ignored_pairs):
             if first in self.body_of_link and second in self.body_of_link:
                 self.spec.add_exclude(bodyname1=self.body_of_link[first], bodyname2=self.body_of_link[second])
+        objects = {item.name: f"object:{item.name}" for item in self.motion.objects}
+        for link, piece in sorted(self.cut_pairs):
+            cutter = objects.get(link, self.body_of_link.get(link))
+            if cutter is not None and self.spec.body(f"piece:{piece}") is not None:
+                self.spec.add_exclude(bodyname1=cutter, bodyname2=f"piece:{piece}")
 
     def add_servos(
         self,
@@ -382,13 +392,14 @@ class SpecBuilder:
         torsion = PATCH_ARM_M * friction if kind == "object" else 0.005
         body.add_geom(
             name=f"{kind}:{name}",
-            contype=(CUTS if owner[1] in self.cutting else 1) if kind in ("robot", "object") else 0,
+            contype=1 if kind in ("robot", "object") else 0,
             conaffinity=1,
             priority={"robot": 0, "object": 2}.get(kind, 1),
             friction=[friction, torsion, 1e-4],
             density=0.0,
             condim=4 if kind == "object" else 3,
-            **{"world": STIFF, "mechanism": HARD, "robot": {}, "object": HARD}[kind],
+            # A held object lets go for a moment, again and again, where its surface gives way by micrometres only.
+            **{"world": STIFF, "mechanism": HARD, "robot": {}, "object": STIFF}[kind],
             **fields,
         )
         self.owner_of_geom[f"{kind}:{name}"] = owner
