@@ -61,7 +61,7 @@ def held(
     first, last = (replay.samples[phase[end]] for end in ("first", "last"))
     for carrier in phase.get("carriers", ()):
         item = next(item for item in data["objects"] if item["name"] == carrier["object"])
-        name, weight = f"{phase['name']}: {item['name']}", GRAVITY * item["mass_kg"]
+        name, weight = f"{phase['name']}: {item['name']}", _weigh(item, phase)
         if carrier["link"] is None:
             yield (name, *_rests(replay, data, item, first))
             continue
@@ -78,6 +78,14 @@ def held(
             f"pads within {1e3 * max(gaps):.1f} mm, moving {1e3 * max(moved):.2f} mm, {weight / most:.0%} of the grip"
         )
         yield name, max(gaps) <= PAD_GAP_M and max(moved) <= STILL_M and weight <= most, text
+
+
+def _weigh(item: dict[str, Any], phase: dict[str, Any]) -> float:
+    """Return the largest force that an object puts on what holds it: its weight, and what it presses against [N]."""
+    pressed = [np.array(load["force_n"]) for load in phase.get("loads", ()) if load["tool"] == item["name"]]
+    up = np.array([0.0, 0.0, GRAVITY * item["mass_kg"]])
+    shares = itertools.product((0.0, 1.0), repeat=len(pressed))
+    return max(float(np.linalg.norm(up + sum(k * f for k, f in zip(share, pressed, strict=True)))) for share in shares)
 
 
 def _rests(replay: Replay, data: dict[str, Any], item: dict[str, Any], s: float) -> tuple[bool, str]:

@@ -53,6 +53,26 @@ def draw_drill(rng: np.random.Generator) -> Data:
     return request_of("drill", {"centre": [x, y, height], "radius": radius, "wall": ["wall"]}, [make_wall(x)])
 
 
+def draw_cut(rng: np.random.Generator) -> Data:
+    """Return a drill of 1-2 kg on a shelf at a wall 0.85-0.95 m ahead, and a circle of 5-12 cm on that."""
+    x, y, height, radius = _draw(rng, (0.85, 0.95), (-0.3, 0.0), (1.0, 1.25), (0.05, 0.12))
+    top, at, side, length, mass = _draw(rng, (0.8, 0.95), (0.58, 0.64), (-0.5, -0.35), (0.16, 0.22), (1.0, 2.0))
+    shelf = {"name": "shelf", "type": "box", "size": [0.3, 0.3, 0.02], "position": [at, side, top - 0.01]}
+    width = float(rng.uniform(0.04, 0.055))
+    drill = {
+        "name": "drill", "type": "box", "size": [width, width, length], "mass_kg": mass,
+        "position": [at, side, top + 0.5 * width], "quaternion_wxyz": [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0],
+    }  # fmt: skip
+    values = {
+        "tip": 0.5 * length, "centre": [x, y, height], "radius": radius, "wall": ["wall"], "hand": "right",
+        "thrust": float(rng.uniform(5.0, 20.0)),
+    }  # fmt: skip
+    request = request_of("cut", values, [make_wall(x), shelf], start={"posture": "reach_ready"})
+    request["robot"]["hand"] = "gripper"
+    request["scene"]["objects"] = [drill]
+    return request
+
+
 def draw_wipe(rng: np.random.Generator) -> Data:
     """Return strokes of 15-30 cm on a wall or a table, by either hand."""
     side = str(rng.choice(["left", "right"]))
@@ -85,6 +105,7 @@ PART_CASES: Mapping[str, Callable[[np.random.Generator], Data]] = {
     "button": draw_button,
     "lever": draw_lever,
     "drill": draw_drill,
+    "cut": draw_cut,
     "wipe": draw_wipe,
     "door": draw_door,
     "valve": draw_valve,

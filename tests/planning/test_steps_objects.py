@@ -50,6 +50,19 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
     assert checks["target.across.peg.rotation"]["limit"] == pytest.approx(level)
 
 
+def test_grips_hold_what_the_object_presses(folder: Path, urdf: Path) -> None:
+    data = json.loads((folder / "result.json").read_text())
+    checks = {check["name"]: check for check in data["certificate"]["checks"]}
+    # Two pads of 40 N hold 24 N by a friction of 0.3: 3.9 N of weight and 5 N downwards, of a hole that holds the peg back.
+    least = (0.4 * 9.81 + 5.0) / 24.0
+    share = checks["carried.out.peg"]["value"]
+    assert least < share < 1.3 * least  # the force acts up to 4 mm beside the peg's axis
+    assert share > checks["carried.across.peg"]["value"] + 5.0 / 24.0 - 0.02
+    result = plan(parse_request(peg_request(urdf, out={"force_n": 30.0})))
+    assert result.verdict.value not in ("CERTIFIED", "FEASIBLE_AT_SAMPLES")
+    assert any("do not hold peg of 0.4 kg, which presses with up to 30 N" in line for line in result.explanation)
+
+
 def test_what_a_later_step_releases_is_known_to_every_step_before(urdf: Path) -> None:
     named = NamedStep.list_all(parse_request(peg_request(urdf)).section)  # type: ignore[arg-type]
     (last,) = [k for k, own in enumerate(named) if own.step.release is not None]

@@ -30,6 +30,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "debris": {"object": "beam", "to": [0.5, 0.2, 0.9]},
     "hose": {"object": "hose", "to": [0.7, 0.0, 1.0]},
     "tend_machine": {"object": "part", "to": [0.6, 0.1, 0.9]},
+    "cut": {"object": "drill", "tip": 0.1, "centre": [0.9, -0.1, 1.15], "wall": ["wall"]},
     "drill": {"centre": [0.8, -0.1, 1.15], "wall": ["wall"]},
 }
 KNOCK = """
