@@ -29,9 +29,13 @@ class HeldPolygon:
 
 
 def simplify_polygon(vertices: Float[np.ndarray, "V 2"]) -> list[int]:
-    """Return the vertices to keep so that no edge is short and no corner flat; the polygon only gets smaller."""
+    """Return the vertices of the hull to keep, counter-clockwise, so that no edge is short and no corner flat.
+
+    The polygon only gets smaller.  Programs whose directions differ by rounding find the ends of one edge in any order, and
+    several times.
+    """
     points = vertices.tolist()
-    kept = list(range(len(points)))
+    kept = _list_hull(points)
     i = 0
     while i < len(kept) and len(kept) > 1:
         (x0, y0), (x1, y1), (x2, y2) = (points[kept[k % len(kept)]] for k in (i - 1, i, i + 1))
@@ -44,6 +48,23 @@ def simplify_polygon(vertices: Float[np.ndarray, "V 2"]) -> list[int]:
         else:
             i += 1
     return kept
+
+
+def _list_hull(points: list[list[float]]) -> list[int]:
+    """Return the corners of the convex hull, counter-clockwise (Andrew's monotone chain); of a line its two ends."""
+    order = sorted(range(len(points)), key=points.__getitem__)
+    chains = []
+    for way in (order, order[::-1]):
+        chain: list[int] = []
+        for k in way:
+            while len(chain) > 1:
+                (x0, y0), (x1, y1), (x2, y2) = points[chain[-2]], points[chain[-1]], points[k]
+                if (x1 - x0) * (y2 - y0) - (y1 - y0) * (x2 - x0) > 0.0:
+                    break
+                chain.pop()
+            chain.append(k)
+        chains.append(chain[:-1])
+    return chains[0] + chains[1] or order
 
 
 def refuse_degenerate(vertices: Float[np.ndarray, "V 2"], place: str, index: int | None) -> None:

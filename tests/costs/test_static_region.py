@@ -27,6 +27,7 @@ from costs.static_region import (
     StaticRegionError,
     find_static_region,
 )
+from costs.static_region.polygons import HeldPolygon, intersect_polygons, simplify_polygon
 
 MASS = 150.0
 WEIGHT = MASS * GRAVITY
@@ -355,3 +356,18 @@ def test_forces_that_do_not_balance_are_looked_for_anew(monkeypatch):
     np.testing.assert_allclose(region.vertices, right.vertices, atol=1e-9)
     assert witness_defects(FEET, MASS, region).max() < 1e-6
     assert len(answers) > 4
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=50)
+def test_corners_that_programs_find_several_times_and_in_any_order_are_one_polygon(seed):
+    rng = np.random.default_rng(seed)
+    turn = np.sort(rng.uniform(0.0, 2.0 * np.pi, 7))
+    corners = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    found = np.repeat(corners, 2, axis=0)[[0, 2, 0, 2, *range(4, 14)]]  # an edge there and back, and every corner twice
+    kept = found[simplify_polygon(found)]
+    whole = corners[simplify_polygon(corners)]
+    assert {tuple(place) for place in kept} == {tuple(place) for place in whole}
+    held = HeldPolygon(kept, np.ones((len(kept), 1, 3)))
+    vertices, _ = intersect_polygons([HeldPolygon(whole, np.ones((len(whole), 1, 3))), held])
+    assert {tuple(place) for place in vertices.round(9)} == {tuple(place) for place in whole.round(9)}
