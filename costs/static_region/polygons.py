@@ -31,8 +31,8 @@ class HeldPolygon:
 def simplify_polygon(vertices: Float[np.ndarray, "V 2"]) -> list[int]:
     """Return the vertices of the hull to keep, counter-clockwise, so that no edge is short and no corner flat.
 
-    The polygon only gets smaller.  Programs whose directions differ by rounding find the ends of one edge in any order, and
-    several times.
+    The polygon only gets smaller.  Programs whose directions differ by rounding find the ends of one edge in any order,
+    and several times.
     """
     points = vertices.tolist()
     kept = _list_hull(points)

@@ -53,7 +53,7 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
 def test_grips_hold_what_the_object_presses(folder: Path, urdf: Path) -> None:
     data = json.loads((folder / "result.json").read_text())
     checks = {check["name"]: check for check in data["certificate"]["checks"]}
-    # Two pads of 40 N hold 24 N by a friction of 0.3: 3.9 N of weight and 5 N downwards, of a hole that holds the peg back.
+    # Two pads of 40 N hold 24 N by a friction of 0.3: 3.9 N of weight, and 5 N of a hole that holds the peg back.
     least = (0.4 * 9.81 + 5.0) / 24.0
     share = checks["carried.out.peg"]["value"]
     assert least < share < 1.3 * least  # the force acts up to 4 mm beside the peg's axis

@@ -116,8 +116,8 @@ class Held:
     def list_pressing(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "K S 6"]:
         """Return corners of the wrenches with which the object presses, the first of which is none.
 
-        Force and moment about its centre of mass, in the frame of the joint that carries the object [N, N m].  Each load
-        has any size up to its largest, and acts anywhere within ``LOAD_OFF_M`` of the object's origin.
+        Force and moment about its centre of mass, in the frame of the joint that carries the object [N, N m].  Each
+        load has any size up to its largest, and acts anywhere within ``LOAD_OFF_M`` of the object's origin.
         """
         placed, rows = self.prepared.at(s)
         turn = placed.rotation[rows, self.body.joint]
