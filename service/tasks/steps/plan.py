@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,6 +19,7 @@ from service.demands.grasping.gripper import Gripper
 from service.demands.steps.compile import compile_step
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent, NamedStep
+from service.demands.steps.frames import list_carriers
 from service.demands.steps.holding import Holding, Item, carry_along, choose_grippers
 from service.demands.steps.objects import Fit, Taking
 from service.demands.steps.phases import PhaseMaker
@@ -199,7 +201,8 @@ class _Walk:
             return _Done([], (), Tried(named.name, error.problems), index)
         own = self._place(self._solver, holding, state.at)
         moving = own.body.robot
-        own = replace(own, body=own.body.with_robot(_hold_parts(moving, state.values), state.at))
+        held = {*moving.joint_names[moving.n - len(state.values) :], *_list_holding(holding)}
+        own = replace(own, body=own.body.with_robot(_hold_joints(moving, held, state.at), state.at))
         posture = None if finish is None else own.body.robot.postures[finish]
         made = plan_contact_motion(own, stances, posture)
         phases = [_walk_on(phase, named.name, holding, moving) for phase in made.phases]
@@ -348,18 +351,22 @@ class _Walk:
         return replace(solver, body=own)
 
 
-def _hold_parts(robot: RobotModel, values: Float[np.ndarray, "k"]) -> RobotModel:
-    """Return the robot whose last joints, of what its hands push, cannot move.
+def _list_holding(holding: Holding) -> frozenset[str]:
+    """Return the joints that stay while objects are carried about: fingers, and both arms where two hands hold one."""
+    joints = {joint for hold in holding.held.values() for joint in hold.fingers}
+    for hold in (hold for hold in holding.held.values() if hold.chain):
+        arms = [list_carriers(holding.robot, tool) for tool in hold.tools]
+        joints |= frozenset.union(*arms) - frozenset.intersection(*arms)
+    return frozenset(joints)
 
-    Args:
-        robot: with ``k`` joints of a mechanism.
-        values: of these joints [rad, m].
-    """
-    if not len(values):
+
+def _hold_joints(robot: RobotModel, joints: AbstractSet[str], at: Float[np.ndarray, "n"]) -> RobotModel:
+    """Return the robot with joints that cannot move from where they are."""
+    if not joints:
         return robot
-    first = robot.n - len(values)
-    lower, upper = (np.append(limits[:first], values) for limits in (robot.lower, robot.upper))
-    postures = {name: np.append(posture[:first], values) for name, posture in robot.postures.items()}
+    is_held = np.array([name in joints for name in robot.joint_names])
+    lower, upper = (np.where(is_held, at, limits) for limits in (robot.lower, robot.upper))
+    postures = {name: np.where(is_held, at, posture) for name, posture in robot.postures.items()}
     return replace(robot, lower=lower, upper=upper, postures=postures)
 
 

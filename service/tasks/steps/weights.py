@@ -131,6 +131,7 @@ def _limit_torques(solver: PhaseSolver, holding: Holding, name: str, hold: Hold)
             limit = HeldTorque(robot, frame_name, np.arange(count), forces, TORQUE_SHARE)
             if len(limit.limited):
                 own.append(Constraint(f"torque of {frame_name}", limit, tolerance=TORQUE_TOLERANCE, unit="1"))
-        return (*others(phase, robot, count), *own)
+        names = {term.name for term in own}  # of arms that were limited without what they carry
+        return (*(term for term in others(phase, robot, count) if term.name not in names), *own)
 
     return replace(solver, terms=add)
