@@ -86,7 +86,7 @@ def measure(problem: Problem[StateT], x: Float[np.ndarray, "T n"]) -> Iterate[St
         largest = float(rows.max(initial=0.0))
         violation[constraint.name] = largest
         total_violation += constraint.scale * float(rows.sum())
-        excess = max(excess, largest / constraint.tolerance)
+        excess = max(excess, largest / float(constraint.tolerance))
         is_acceptable = is_acceptable and largest <= max(constraint.tolerance, constraint.acceptable)
     total_cost = sum(cost.values())
     if not np.isfinite(total_cost + total_violation):

@@ -114,6 +114,7 @@ class WholeBody:
         sight: distance beyond its margin at which a pair enters the problem [m].
         releases: rules of the latches of ``robot``'s mechanism.
         touches: what the planted links may touch; by default floors.
+        held: what touches wherever it stands: fingers and what they hold.
         region: where contacts that are not soles on one level hold the robot.
         kept_apart: pairs of links that the robot ignores, and that keep their margin all the same.
         sampled_clearance: of the poses of sampled paths [m]; the optimiser adds the rest of the margin.
@@ -134,6 +135,7 @@ class WholeBody:
     sight: float = 0.03
     releases: tuple[Release, ...] = ()
     touches: tuple[Allowance, ...] | None = None
+    held: tuple[Allowance, ...] = ()
     region: PlannedRegion | None = None
     kept_apart: frozenset[tuple[str, str]] = frozenset()
     sampled_clearance: float = SAMPLING_CLEARANCE
@@ -324,10 +326,10 @@ class WholeBody:
         return min([DRIFT if self.touches is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
+        """Return what touches all the time: planted links, by default with what carries their soles, and what is held."""
         if self.touches is not None:
-            return self.touches
-        return make_standing_allowances(self.planted, self.scene)
+            return (*self.touches, *self.held)
+        return (*make_standing_allowances(self.planted, self.scene), *self.held)
 
     def make_problem(
         self,

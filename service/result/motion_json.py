@@ -27,7 +27,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
 from service.result.phase_json import phase_from_json, phase_json, read_rotation, sample_index, write_rotation
 from service.result.zmp_json import zmp_json
-from service.verify import Approach, Motion, Sway, find_times, split_motion
+from service.verify import Approach, Motion, Sway, find_mechanism_joints, find_times, split_motion
 
 BASE_COLUMNS = ("base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz")
 
@@ -67,7 +67,7 @@ def motion_json(motion: Motion, robot: RobotModel) -> dict[str, Any]:
             {"first": phase["first"], "last": phase["last"], **phase["support"], "zmp": zmp_of_phase}
             for phase, zmp_of_phase in zip(standing, zmp_of_phases, strict=True)
         ],
-        "com": _compute_com(motion, robot, s, q[:, : robot.n]),
+        "com": _compute_com(motion, s, q),
         "zmp": zmp,
     }
 
@@ -266,21 +266,20 @@ def _write_movable(motion: Motion, robot: RobotModel, column: int, q: Float[np.n
     }
 
 
-def _compute_com(
-    motion: Motion, robot: RobotModel, s: Float[np.ndarray, "S"], q: Float[np.ndarray, "S n"]
-) -> list[list[float] | None]:
+def _compute_com(motion: Motion, s: Float[np.ndarray, "S"], q: Float[np.ndarray, "S n"]) -> list[list[float] | None]:
     """Return the centre of mass in the world at every sample, with what hands carry; None if the robot has no masses.
 
     A mechanism does not count.
     """
-    if not sum(inertia.mass for inertia in robot.model.inertias[1:]) > 0.0:
-        return [None] * len(q)
-    models = [robot.model] * max(len(motion.phases), 1)
-    if motion.objects:
-        models = [part.robot.model for part in split_motion(motion)]
+    apart, parts = find_mechanism_joints(motion), split_motion(motion)
     lasts = np.array([phase.last for phase in motion.phases[:-1]])
     rows: list[list[float] | None] = []
     for at, row in zip(np.searchsorted(lasts, s), q, strict=True):
-        model = models[int(at)]
-        rows.append(pin.centerOfMass(model, borrow_data(model), row).tolist())
+        model = parts[int(at)].robot.model
+        data = borrow_data(model)
+        pin.forwardKinematics(model, data, row)
+        own = [joint for joint in range(1, model.njoints) if joint not in apart]
+        masses = np.array([float(model.inertias[joint].mass) for joint in own])
+        centres = np.array([data.oMi[joint].act(model.inertias[joint].lever) for joint in own])
+        rows.append((masses @ centres / masses.sum()).tolist() if masses.sum() > 0.0 else None)
     return rows

@@ -5,7 +5,7 @@ The planner makes each phase at the configuration that it has reached, the verif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -45,6 +45,7 @@ from service.request.tasks.steps import BodyStep, MoveStep, ScrewStep, ShiftRequ
 
 UPRIGHT_GROUP = "upright"
 CORNER = "corner"
+NEARLY_UP = float(np.cos(np.deg2rad(20.0)))  # upward part of a direction up to which it counts as upright
 LEVEL_DEG = 0.03  # of an object above the place where it is put: beyond it touches with an edge, which holds no weight
 
 
@@ -105,7 +106,8 @@ def _list_makers(
         raise RequestError(f"body: the base of '{robot.name}' is fixed; a step of the body needs a robot on feet")
     if step.move is not None:
         level = tuple(group for group in company if group & named.sets_down)
-        make = partial(_make_move, robot, company, level, step.move, name)
+        ups = {item: holding.items[item].body.start[2, :3] for item in named.sets_down if item in holding.held}
+        make = partial(_make_move, robot, company, level, ups, step.move, name)
         if not named.entered_m and named.leads_to is None:
             return (PhaseMaker(name, make),)
         return tuple(_list_blended(robot, make, named, step.move, named.leads_to))
@@ -134,9 +136,19 @@ def _shift_guide(pose: Float[np.ndarray, "4 4"], by: ShiftRequest) -> Guide:
 
 
 def _make_move(
-    robot: RobotModel, company: Company, level: Company, move: MoveStep, name: str, q: Float[np.ndarray, "n"]
+    robot: RobotModel,
+    company: Company,
+    level: Company,
+    ups: Mapping[str, Float[np.ndarray, "3"]],
+    move: MoveStep,
+    name: str,
+    q: Float[np.ndarray, "n"],
 ) -> StepPhase:
-    """Return a motion to joints or poses; what it brings above a place where it is put (``level``) is level there."""
+    """Return a motion to joints or poses.
+
+    What it brings above a place where it is put (``level``) is level there; ``ups`` are the directions of such objects that
+    pointed upwards as they rested at first.
+    """
     moving = find_frames(robot, move.hand, move.frame) if move.hand or move.frame else ()
     frames = moving or tuple(pose.link for pose in move.poses)
     base = StepPhase(name, duration_s=move.duration_s)
@@ -164,7 +176,8 @@ def _make_move(
     if move.along == "free":
         if move.poses:
             carried = {name for group in company for name in group} - set(map_tools(robot).values())
-            turned = (_keep_turn(pose, poses[pose.link]) if pose.link in carried else pose for pose in move.poses)
+            here = {link: _stand_up(pose, ups[link]) if link in ups else pose for link, pose in poses.items()}
+            turned = (_keep_turn(pose, here[pose.link]) if pose.link in carried else pose for pose in move.poses)
             return replace(base, goal=GoalRequest(poses=tuple(_bring_level(pose, level) for pose in turned)))
         ends = {frame: guide.poses(np.ones(1))[0] for frame, guide in guides.items()}
         goals = tuple(
@@ -235,6 +248,17 @@ def _bring_level(pose: PoseGoalRequest, level: Company) -> PoseGoalRequest:
     if not pose.is_plain or not any(pose.link in group for group in level):
         return pose
     return replace(pose, rotation_tolerance_deg=min(pose.rotation_tolerance_deg, LEVEL_DEG))
+
+
+def _stand_up(pose: Float[np.ndarray, "4 4"], up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
+    """Return a pose turned as little as it takes for a direction of its own to point upwards, if it nearly does."""
+    upwards, turned = pose[:3, :3] @ up, pose.copy()
+    if upwards[2] >= NEARLY_UP:
+        axis = np.cross(upwards, [0.0, 0.0, 1.0])
+        sine = float(np.linalg.norm(axis))
+        angle = float(np.arctan2(sine, upwards[2]))
+        turned[:3, :3] = Rotation.from_rotvec(angle / max(sine, 1e-12) * axis).as_matrix() @ pose[:3, :3]
+    return turned
 
 
 def _keep_turn(pose: PoseGoalRequest, at: Float[np.ndarray, "4 4"]) -> PoseGoalRequest:

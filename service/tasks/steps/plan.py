@@ -19,7 +19,7 @@ from service.demands.grasping.gripper import Gripper
 from service.demands.steps.compile import compile_step
 from service.demands.steps.demand import StepsDemand
 from service.demands.steps.extent import Extent, NamedStep
-from service.demands.steps.frames import list_carriers
+from service.demands.steps.frames import list_carriers, map_tools
 from service.demands.steps.holding import Holding, Item, carry_along, choose_grippers
 from service.demands.steps.objects import Fit, Taking
 from service.demands.steps.phases import PhaseMaker
@@ -184,8 +184,9 @@ class _Walk:
         n = self._plain.body.robot.n
         plain = self._place(self._plain, holding, state.at[:n])
         own = self._place(self._solver, holding, state.at)
-        parts, busy = self._demand.parts, holding.busy
-        phases, tried = plan_part(plain, own, parts, named, state.at, state.values, busy)
+        parts, busy, held = self._demand.parts, holding.busy, _list_holding(holding)
+        keeping = (_keep_joints(solver, held, state.at) for solver in (plain, own))
+        phases, tried = plan_part(*keeping, parts, named, state.at, state.values, busy)
         if holding.items or holding.stands is not None:
             phases = [replace(phase, phase=carry_along(phase.phase, holding), body=own.body) for phase in phases]
         order = tuple(phase.name for phase in phases)
@@ -202,7 +203,7 @@ class _Walk:
         own = self._place(self._solver, holding, state.at)
         moving = own.body.robot
         held = {*moving.joint_names[moving.n - len(state.values) :], *_list_holding(holding)}
-        own = replace(own, body=own.body.with_robot(_hold_joints(moving, held, state.at), state.at))
+        own = _keep_joints(own, held, state.at)
         posture = None if finish is None else own.body.robot.postures[finish]
         made = plan_contact_motion(own, stances, posture)
         phases = [_walk_on(phase, named.name, holding, moving) for phase in made.phases]
@@ -352,22 +353,32 @@ class _Walk:
 
 
 def _list_holding(holding: Holding) -> frozenset[str]:
-    """Return the joints that stay while objects are carried about: fingers, and both arms where two hands hold one."""
+    """Return the joints that stay while objects are carried about: of the fingers that hold them and their arms."""
     joints = {joint for hold in holding.held.values() for joint in hold.fingers}
-    for hold in (hold for hold in holding.held.values() if hold.chain):
-        arms = [list_carriers(holding.robot, tool) for tool in hold.tools]
-        joints |= frozenset.union(*arms) - frozenset.intersection(*arms)
+    arms = {tool: list_carriers(holding.robot, tool) for tool in map_tools(holding.robot).values()}
+    for tool in (tool for hold in holding.held.values() for tool in hold.tools):
+        others = frozenset[str]().union(*(arm for other, arm in arms.items() if other != tool))
+        joints |= arms.get(tool, frozenset()) - others
     return frozenset(joints)
 
 
-def _hold_joints(robot: RobotModel, joints: AbstractSet[str], at: Float[np.ndarray, "n"]) -> RobotModel:
-    """Return the robot with joints that cannot move from where they are."""
-    if not joints:
-        return robot
+def _keep_joints(solver: PhaseSolver, joints: AbstractSet[str], at: Float[np.ndarray, "k"]) -> PhaseSolver:
+    """Return a solver whose robot has joints that cannot move from where they are.
+
+    Args:
+        solver: its robot may have fewer coordinates than ``at``, those of a mechanism.
+        joints: names.
+        at: configuration.
+    """
+    robot = solver.body.robot
     is_held = np.array([name in joints for name in robot.joint_names])
-    lower, upper = (np.where(is_held, at, limits) for limits in (robot.lower, robot.upper))
-    postures = {name: np.where(is_held, at, posture) for name, posture in robot.postures.items()}
-    return replace(robot, lower=lower, upper=upper, postures=postures)
+    if not is_held.any():
+        return solver
+    here = at[: robot.n]
+    lower, upper = (np.where(is_held, here, limits) for limits in (robot.lower, robot.upper))
+    postures = {name: np.where(is_held, here, posture) for name, posture in robot.postures.items()}
+    kept = replace(robot, lower=lower, upper=upper, postures=postures)
+    return replace(solver, body=solver.body.with_robot(kept, here))
 
 
 def _walk_on(planned: PlannedPhase, name: str, holding: Holding, robot: RobotModel) -> PlannedPhase:

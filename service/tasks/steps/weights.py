@@ -39,7 +39,7 @@ def place_objects(
     if not holding.items:
         return replace(solver, body=replace(solver.body, nominal=at))
     body = solver.body
-    placed = body.with_robot(holding.place(body.robot), at)
+    placed = replace(body.with_robot(holding.place(body.robot), at), held=tuple(holding.list_touches()))
     own = replace(solver, body=placed, overrides=(*solver.overrides, *_list_margins(solver, holding, near)))
     for name, hold in holding.held.items():
         own = _limit_torques(own, holding, name, hold)
