@@ -82,8 +82,9 @@ def compile_step(
 
 
 def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float[np.ndarray, "n"]) -> StepPhase:
-    """Return a phase with the carriers of the objects; fingers that hold one stay as they are."""
+    """Return a phase with the carriers of the objects; fingers that hold one, and their hands otherwise, stay as they are."""
     made = maker.make(q)
+    made = replace(made, kept=(*made.kept, *_keep_idle(holding, made, q)))
     fingers = {joint for hold in holding.held.values() for joint in hold.fingers}
     locked = (*made.locked, *sorted(fingers - set(made.locked)))
     straight = {joint: value for joint, value in made.straight.items() if joint not in fingers}
@@ -92,6 +93,21 @@ def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float
         values = goal.joints if goal.posture is None else _read_posture(holding.robot, goal.posture)
         goal = GoalRequest(joints={joint: value for joint, value in values.items() if joint not in fingers})
     return replace(made, holding=holding, lands=lands, locked=locked, straight=straight, goal=goal)
+
+
+def _keep_idle(
+    holding: Holding, made: StepPhase, q: Float[np.ndarray, "n"]
+) -> Iterator[tuple[str, Float[np.ndarray, "4 4"]]]:
+    """Yield the poses of hands that hold something and that a phase says nothing of."""
+    goal = made.goal
+    if made.straight or (goal is not None and not goal.poses):
+        return  # joints say where all hands are
+    named = {led.frame for led in made.led} | {frame for frame, _ in made.kept}
+    named |= {pose.link for pose in goal.poses} if goal is not None else set()
+    for name, hold in holding.held.items():
+        arms = {joint for tool in hold.tools for joint in list_carriers(holding.robot, tool)}
+        if not named & {name, *hold.tools} and not arms & set(made.locked):
+            yield hold.tools[0], locate(holding.placed, q, hold.tools[0])
 
 
 def _list_makers(

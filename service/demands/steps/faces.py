@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from costs.scene import ConvexPiece
+from service.demands.regions import find_axis
 from service.errors import RequestError
 from service.request.tasks.steps import FollowStep
 from service.verify import CoalSolid
@@ -32,7 +33,14 @@ def lean_tool(inwards: Float[np.ndarray, "3"], step: FollowStep) -> Float[np.nda
     return np.asarray(np.cos(tilt) * inwards + np.sin(tilt) * across)
 
 
-def point_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+def point_axis(name: str, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Return an orientation with an axis of its own (``x``, ``-z``) along a direction."""
+    own = find_axis(name)
+    assert own is not None
+    return _point_along(axis) @ _point_along(own).T
+
+
+def _point_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Return an orientation with its z axis along a direction."""
     side = np.eye(3)[int(np.abs(axis).argmin())]
     x = side - (side @ axis) * axis

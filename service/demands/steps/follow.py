@@ -14,7 +14,8 @@ from costs.guide import Guide
 from costs.robot import RobotModel
 from costs.rotation import turn_towards
 from service.demands.steps.blends import choose_cuts, round_corner
-from service.demands.steps.faces import UP, find_middle, lean_tool, list_places, point_along
+from service.demands.regions import find_axis
+from service.demands.steps.faces import find_middle, lean_tool, list_places, point_axis
 from service.demands.steps.frames import Company, allow, find_frames, keep_others, locate, make_thrust, read_limits
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
 from service.demands.targets import make_pose_goal
@@ -38,8 +39,8 @@ def list_follow(robot: RobotModel, company: Company, step: FollowStep, name: str
 
     def begin(q: Float[np.ndarray, "n"]) -> StepPhase:
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = point_along(axis), places[0] + off
-        goal = make_pose_goal(frame, pose, OFF_FACE_M, 0.1, "z")
+        pose[:3, :3], pose[:3, 3] = point_axis(step.tool_axis, axis), places[0] + off
+        goal = make_pose_goal(frame, pose, OFF_FACE_M, 0.1, step.tool_axis[-1])
         kept = keep_others(robot, company, q, (frame,), step.other_hand)
         return StepPhase(f"{name}: reach", goal=GoalRequest(poses=(goal,)), **kept)  # type: ignore[arg-type]
 
@@ -119,9 +120,11 @@ def _make_part(
 ) -> StepPhase:
     """Return one line or arc of a path; the tool keeps the turn about its axis, or is free to turn."""
     here = locate(robot, q, frame)[:3, :3]
-    rotation = turn_towards(point_along(axis)[None], here[None], UP)[0]
+    about = find_axis(step.tool_axis)
+    assert about is not None
+    rotation = turn_towards(point_axis(step.tool_axis, axis)[None], here[None], about)[0]
     limits = {**read_limits(step), **({} if part.is_path else {"speed_m_s": None})}
-    free = UP if step.turn == "free" else None
+    free = about if step.turn == "free" else None
     led = Led(frame, part.guide(rotation), free_axis=free, is_corner=part.is_corner, **limits)  # type: ignore[arg-type]
     keeping = keep_others(robot, company, q, (frame,), step.other_hand)
     loads = (make_thrust(frame, led.guide, step.thrust_n * axis),) if part.is_path and step.thrust_n else ()

@@ -27,6 +27,7 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.region import LinkAxis
 from service.request.tasks.contacts import ContactsRequest
 from service.request.tasks.kind import MovedNames, TaskSection
 from service.request.tasks.mechanism import MECHANISM, MechanismRequest
@@ -259,10 +260,9 @@ class CircleRequest(Section):
 class FollowStep(Section):
     """A path on a plane face: the tool comes on a line, follows the path, and leaves on a line.
 
-    The tool's z axis points into the face.
-
     Attributes:
         face: the face.
+        tool_axis: axis of the tool that points into the face.
         circle: the path, or
         polyline: its corners, moved along the normal onto the face; the tool rests at each that is not rounded [m].
         hand, frame: the tool.
@@ -295,6 +295,7 @@ class FollowStep(Section):
     tolerance_m: ToleranceM = 1e-3
     rotation_tolerance_deg: ToleranceDeg = 2.0
     blend_m: BlendM = 0.0
+    tool_axis: LinkAxis = "z"
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("circle", "polyline"))
