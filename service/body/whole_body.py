@@ -219,7 +219,7 @@ class WholeBody:
             self._checked_robot,
             self.scene,
             self.aims.margin,
-            (*self.standing_allowances(), *allowances),
+            (*self.standing_allowances(), *self.held, *allowances),
             (*self._padded, *overrides),
             SELF_SHARE * self.aims.margin,
         )
@@ -239,7 +239,7 @@ class WholeBody:
 
     def _fit_sampled_margins(self, ends: Sequence[Float[np.ndarray, "n"]]) -> PairMargins:
         """Return the margins of the poses of a search between two ends."""
-        allowances = self.standing_allowances()
+        allowances = (*self.standing_allowances(), *self.held)
         margins = PairMargins.of(self._checked_robot, self.scene, self.sampled_clearance, allowances)
         checker = SweptCollisionChecker(self.robot, self.scene, margins, buffer=0.0)
         return self._fit_margins(checker, ends, 0.5 * min(CLEARANCE_TOLERANCE, self.sampled_clearance)).margins
@@ -326,10 +326,10 @@ class WholeBody:
         return min([DRIFT if self.touches is None else CONTACT_DRIFT, *(kept.drift for kept in self.kept)])
 
     def standing_allowances(self) -> tuple[Allowance, ...]:
-        """Return what touches all the time: planted links, by default with what carries their soles, and what is held."""
+        """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
         if self.touches is not None:
-            return (*self.touches, *self.held)
-        return (*make_standing_allowances(self.planted, self.scene), *self.held)
+            return self.touches
+        return make_standing_allowances(self.planted, self.scene)
 
     def make_problem(
         self,

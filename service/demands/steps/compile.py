@@ -82,7 +82,7 @@ def compile_step(
 
 
 def _carry(maker: PhaseMaker, holding: Holding, lands: tuple[str, ...], q: Float[np.ndarray, "n"]) -> StepPhase:
-    """Return a phase with the carriers of the objects; fingers that hold one, and their hands otherwise, stay as they are."""
+    """Return a phase with the carriers of the objects; fingers that hold one stay, and so do idle hands."""
     made = maker.make(q)
     made = replace(made, kept=(*made.kept, *_keep_idle(holding, made, q)))
     fingers = {joint for hold in holding.held.values() for joint in hold.fingers}
@@ -162,8 +162,8 @@ def _make_move(
 ) -> StepPhase:
     """Return a motion to joints or poses.
 
-    What it brings above a place where it is put (``level``) is level there; ``ups`` are the directions of such objects that
-    pointed upwards as they rested at first.
+    What it brings above a place where it is put (``level``) is level there; ``ups`` are the directions of such objects
+    that pointed upwards as they rested at first.
     """
     moving = find_frames(robot, move.hand, move.frame) if move.hand or move.frame else ()
     frames = moving or tuple(pose.link for pose in move.poses)

@@ -13,8 +13,8 @@ from costs.allowance import Allowance
 from costs.guide import Guide
 from costs.robot import RobotModel
 from costs.rotation import turn_towards
-from service.demands.steps.blends import choose_cuts, round_corner
 from service.demands.regions import find_axis
+from service.demands.steps.blends import choose_cuts, round_corner
 from service.demands.steps.faces import find_middle, lean_tool, list_places, point_axis
 from service.demands.steps.frames import Company, allow, find_frames, keep_others, locate, make_thrust, read_limits
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase

@@ -184,7 +184,7 @@ class _Walk:
         n = self._plain.body.robot.n
         plain = self._place(self._plain, holding, state.at[:n])
         own = self._place(self._solver, holding, state.at)
-        parts, busy, held = self._demand.parts, holding.busy, _list_holding(holding)
+        parts, busy, held = self._demand.parts, holding.busy, list_kept_joints(holding)
         keeping = (_keep_joints(solver, held, state.at) for solver in (plain, own))
         phases, tried = plan_part(*keeping, parts, named, state.at, state.values, busy)
         if holding.items or holding.stands is not None:
@@ -202,7 +202,7 @@ class _Walk:
             return _Done([], (), Tried(named.name, error.problems), index)
         own = self._place(self._solver, holding, state.at)
         moving = own.body.robot
-        held = {*moving.joint_names[moving.n - len(state.values) :], *_list_holding(holding)}
+        held = {*moving.joint_names[moving.n - len(state.values) :], *list_kept_joints(holding)}
         own = _keep_joints(own, held, state.at)
         posture = None if finish is None else own.body.robot.postures[finish]
         made = plan_contact_motion(own, stances, posture)
@@ -352,7 +352,7 @@ class _Walk:
         return replace(solver, body=own)
 
 
-def _list_holding(holding: Holding) -> frozenset[str]:
+def list_kept_joints(holding: Holding) -> frozenset[str]:
     """Return the joints that stay while objects are carried about: of the fingers that hold them and their arms."""
     joints = {joint for hold in holding.held.values() for joint in hold.fingers}
     arms = {tool: list_carriers(holding.robot, tool) for tool in map_tools(holding.robot).values()}
