@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -10,14 +11,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from costs.robot import load_robot
-from costs.scene import Scene
+from costs.scene import ConvexPiece, Scene
+from service.body.whole_body import Aims, WholeBody
 from service.demands.grasping.gripper import list_grippers
 from service.demands.steps.compile import compile_step
 from service.demands.steps.extent import NamedStep
 from service.demands.steps.holding import Holding
 from service.demands.steps.phases import StepPhase
 from service.request.file import parse_request
+from service.tasks.steps.choices import Pick, find_blocked, list_choices, list_off_middle
 from service.tasks.steps.plan import list_kept_joints
+from service.tasks.steps.refusals import is_built_in
 
 CAN = {"type": "cylinder", "radius": 0.03, "height": 0.12, "mass_kg": 0.5}
 STEPS = [
@@ -91,3 +95,40 @@ def test_fingers_and_arms_that_hold_something_do_not_move_while_feet_walk(compil
     assert {name for name in joints if name.startswith("back")} == set()
     assert {f"{side}_arm_{joint}" for side in "lr" for joint in ("shz", "elx", "wrx")} <= joints
     assert {joint for hold in compiled[0].held.values() for joint in hold.fingers} <= joints
+
+
+def _box(name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> ConvexPiece:
+    return ConvexPiece(name, np.array(list(itertools.product(*zip(low, high, strict=True)))))
+
+
+def test_a_wall_of_a_socket_is_built_in_and_a_brick_across_others_is_not():
+    brick = _box("brick", (0.0, 0.0, 0.1), (0.2, 0.1, 0.15))
+    beside = _box("beside", (0.2, 0.0, 0.0), (0.3, 0.1, 0.3))
+    below = _box("below", (0.15, 0.0, 0.0), (0.2, 0.1, 0.1))
+    above = _box("above", (0.0, 0.0, 0.15), (0.2, 0.1, 0.4))
+    assert [is_built_in(brick, Scene((brick, *others))) for others in ((), (below,), (beside,), (below, above))] == [
+        False, False, True, True,
+    ]  # fmt: skip
+
+
+def test_an_object_beside_a_wall_is_taken_off_its_middle_where_its_middle_has_no_room():
+    request = parse_request({
+        "robot": {"name": "atlas", "hand": "gripper"},
+        "scene": {"objects": [{"name": "plug", "type": "box", "size": [0.24, 0.04, 0.04], "mass_kg": 0.3,
+                               "position": [0.7, -0.3, 1.1]}]},
+        "task": {"steps": [{"grasp": {"object": "plug"}}]},
+    })  # fmt: skip
+    robot = load_robot("atlas", hand="gripper")
+    walls = Scene(
+        (_box("below", (0.705, -0.4, 0.9), (0.8, -0.2, 1.079)), _box("above", (0.705, -0.4, 1.121), (0.8, -0.2, 1.3)))
+    )
+    holding = Holding.of(request.section, request, robot, walls)  # type: ignore[arg-type]
+    body = WholeBody.standing(robot, walls, robot.postures["reach_ready"], ("l_foot", "r_foot"), Aims())
+    item = holding.items["plug"]
+    pick = Pick(item, request.section.steps[0].grasp, ((item.body.start, "where it is"),))  # type: ignore[union-attr]
+    grippers = list_grippers(robot, "auto")
+    middle, aside = list_choices(pick, grippers)[0], list_off_middle(pick, grippers)
+    assert not [choice for choice in middle if find_blocked(body, pick, choice) is None]
+    free = [choice for choice in aside if find_blocked(body, pick, choice) is None]
+    assert free
+    assert all(choice.grasps[0].pose_object_tool[0, 3] < -0.03 for choice in free)  # away from the wall

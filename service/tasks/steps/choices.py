@@ -29,7 +29,8 @@ SEEDS = 2  # configurations from which inverse kinematics starts
 SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
 OUTSIDE_M = 0.05  # of the centre of mass from the support polygon in a configuration that counts as reached
 INSIDE_RAD = 10.0  # by which a configuration in which links meet counts as farther away, over all joints
-INSIDE_M = 1e-3  # of a hand in what stands around
+ROOM_M = 5e-4  # between a hand and what stands around
+ASIDE = (0.25, -0.25, 0.4, -0.4)  # of its length, off the middle of an object
 SPAN_ROOM_M = 0.05  # of a hand from the end of such an object
 
 
@@ -77,6 +78,16 @@ def list_choices(pick: Pick, grippers: Sequence[Gripper]) -> tuple[list[Choice],
         choices += [Choice((grasp,)) for grasp in wanted]
         refused += reasons
     return choices, tuple(dict.fromkeys(refused))
+
+
+def list_off_middle(pick: Pick, grippers: Sequence[Gripper]) -> list[Choice]:
+    """Return grasps of one hand off the middle of an object, along its longest side; none where a grasp is given."""
+    if pick.step.hand == "both" or pick.step.grasp is not None or pick.item.given.grasps:
+        return []
+    size = np.ptp(pick.item.body.vertices, axis=0)
+    axis = np.eye(3)[int(size.argmax())]
+    made = (_list_beside(pick, gripper, axis, share * float(size.max())) for gripper in grippers for share in ASIDE)
+    return [Choice((grasp,)) for grasps in made for grasp in grasps if not isinstance(grasp, str)]
 
 
 def _list_pairs(pick: Pick, grippers: Sequence[Gripper]) -> tuple[list[Choice], tuple[str, ...]]:
@@ -188,13 +199,13 @@ def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
                 own = points @ pose[:3, :3].T + pose[:3, 3]
                 low, high = own.min(axis=0), own.max(axis=0)
                 for piece in body.scene.pieces:
-                    if np.any(piece.lower > high) or np.any(piece.upper < low):
+                    if np.any(piece.lower > high + ROOM_M) or np.any(piece.upper < low - ROOM_M):
                         continue
                     solids = [make_coal_convex(own)], [CoalSolid.of_piece(piece).convex]
                     depth = -float(query.closest(solids[0], np.eye(3)[None], np.zeros((1, 3)), solids[1])[0][0])
-                    if depth > INSIDE_M:
+                    if depth > -ROOM_M:
                         which = "the grasps" if grasp.number is None else f"grasp {grasp.number}"
-                        inside = f"{name} {1e3 * depth:.0f} mm inside {piece.name}"
+                        inside = f"{name} {1e3 * max(depth, 0.0):.0f} mm inside {piece.name}"
                         return f"{which} of {pick.item.name} would have {inside} {where}"
     return None
 

@@ -31,7 +31,7 @@ from service.setup.prepare import PlanSetup
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.sequence import add_mechanism
-from service.tasks.steps.choices import Pick, find_blocked, list_choices, rank_choices
+from service.tasks.steps.choices import Pick, find_blocked, list_choices, list_off_middle, rank_choices
 from service.tasks.steps.pushed import plan_part
 from service.tasks.steps.refusals import describe_weight, find_obstacle
 from service.tasks.steps.solve import StepSolver, Tried
@@ -258,15 +258,19 @@ class _Walk:
         if reason is not None:
             yield refuse(reason, is_impossible=is_first)
             return
-        blocked = {choice: find_blocked(body, pick, choice) for choice in choices}
-        free = [choice for choice in choices if blocked[choice] is None]
-        if not free:
-            yield refuse(str(blocked[choices[0]]), is_impossible=is_first)
+        ranked, n_free = [], 0
+        for listed in (choices, list_off_middle(pick, grippers)):
+            free = [choice for choice in listed if find_blocked(body, pick, choice) is None]
+            n_free += len(free)
+            ranked = rank_choices(self._solver.body if not holding.items else body, pick, free)
+            if ranked:
+                break
+        if not n_free:
+            yield refuse(str(find_blocked(body, pick, choices[0])), is_impossible=is_first)
             return
-        ranked = rank_choices(self._solver.body if not holding.items else body, pick, free)
         if not ranked:
             where = " and ".join(words for _, words in pick.places)
-            words = f"no hand reaches any of the {len(free)} grasps of {step.object} {where}, in balance"
+            words = f"no hand reaches any of the {n_free} grasps of {step.object} {where}, in balance"
             yield refuse(words, is_impossible=False)
             return
         for choice in ranked[:MOST_CHOICES]:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.robot.carried import PlacedObject, with_objects
+from costs.scene import ConvexPiece, Scene
 from service.body.whole_body import WholeBody
 from service.demands.grasping.gripper import Gripper
 from service.demands.steps.holding import Holding
@@ -18,6 +19,7 @@ from service.verify import GRAVITY, REST_MARGIN_M, CoalSolid, DistanceQuery
 
 ON_TOP_M = 0.01  # above an object, within which a piece rests on it
 ON_TOP_SHARE = 0.5  # of an object's height that such a piece is above
+JOINED_M = 1e-3  # between pieces that are one thing
 INSIDE_M = 3e-3  # of an object in what it rests on
 NEAR_M = 0.2  # of a hand's tool from an object's surface
 
@@ -87,7 +89,10 @@ def describe_weight(body: WholeBody, holding: Holding, name: str, q: Float[np.nd
 
 
 def _find_on_top(body: WholeBody, holding: Holding, pick: Pick) -> str:
-    """Return the pieces and objects that lie on the object, joined by a word; empty where none does."""
+    """Return the pieces and objects that lie on the object, joined by a word; empty where none does.
+
+    A piece that touches others beside it or above is built in, as the walls of a socket are.
+    """
     own, pose = pick.item.body, pick.places[0][0]
     vertices = own.vertices @ pose[:3, :3].T + pose[:3, 3]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -102,7 +107,22 @@ def _find_on_top(body: WholeBody, holding: Holding, pick: Pick) -> str:
         is_above = lower[2] > low[2] + ON_TOP_SHARE * (high[2] - low[2])
         if overlaps and is_above and abs(lower[2] - high[2]) < ON_TOP_M:
             names.append(name)
-    return " and ".join(names)
+    pieces = {piece.name: piece for piece in body.scene.pieces}
+    return " and ".join(name for name in names if name not in pieces or not is_built_in(pieces[name], body.scene))
+
+
+def is_built_in(piece: ConvexPiece, scene: Scene) -> bool:
+    """Return whether a piece touches another one that is not below it."""
+    query, own = DistanceQuery(), CoalSolid.of_piece(piece)
+    for other in scene.pieces:
+        is_near = np.all(other.lower < piece.upper + JOINED_M) and np.all(other.upper > piece.lower - JOINED_M)
+        if other.name == piece.name or not is_near or other.upper[2] < piece.lower[2] + JOINED_M:
+            continue
+        solid = CoalSolid.of_piece(other)
+        distances, _ = query.closest([own.convex], np.eye(3)[None], np.zeros((1, 3)), [solid.convex])
+        if float(distances[0]) < JOINED_M:
+            return True
+    return False
 
 
 def _find_inside(
