@@ -11,7 +11,8 @@ from shared_plans import copy_undrawn, plan_example, write_example
 from stranger import Stranger
 
 from perception import SeenPart, write_npz
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.demands.hands import HANDS, PEG_RADIUS
 from service.demands.valve.given import read_given_valve
 from service.demands.valve.wheel import make_wheel
