@@ -209,7 +209,7 @@ def test_requests_that_make_no_sense_are_refused(change: dict[str, Any], words: 
 
 
 def test_a_door_out_of_reach_says_so() -> None:
-    result = plan(parse_request(door_request(x=2.0) | {"options": {"starts": 1}}))
+    result = plan(parse_request(door_request(x=4.0) | {"options": {"starts": 1}}))
     assert result.verdict in (Verdict.NOT_FOUND, Verdict.INFEASIBLE)
     assert result.explanation
 
