@@ -26,10 +26,11 @@ from costs.static_region import StaticRegionError
 from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock, Settings
 from scopt import Status as SolveStatus
+from service.body.aims import Aims
 from service.body.monitor import Interrupted, Monitor, OnIteration, OnProgress
 from service.body.phases import Map, PhaseSolver, Terms, no_terms
 from service.body.task_plan import TaskPlan
-from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.errors import RequestError
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag

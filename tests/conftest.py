@@ -5,16 +5,19 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import second_chance
 from hypothesis import HealthCheck, settings
-from second_chance import pytest_addoption, pytest_configure
+from second_chance import pytest_addoption
+from spread_collection import SpreadCollection
 
-__all__ = ["pytest_addoption", "pytest_configure"]  # of ``second_chance``, which this file is the plugin of
+__all__ = ["pytest_addoption"]  # of ``second_chance``
 
 if TYPE_CHECKING:
     from planner_stand_in import PlannerStandIn
@@ -26,6 +29,9 @@ settings.load_profile("house")
 # Collecting garbage took a third of the time in which 8,000 tests are found, and a fifteenth of that of a plan.
 ALLOCATIONS = 20_000  # between two collections
 gc.disable()  # until all tests are found
+# As in the Makefile: without bytecode files each process that a test starts compiles the project, which takes 5 s.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of a shell, and in all that starts there
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -33,6 +39,12 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in the background of
 TESTS = Path(__file__).parent
 SLOW = frozenset((TESTS / "slow.txt").read_text().split())
 SLOW_OVER_S = 2.0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Run what failed once more, if asked to, and spread the collection of tests."""
+    second_chance.pytest_configure(config)
+    config.pluginmanager.register(SpreadCollection(TESTS))
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -48,13 +60,14 @@ def name_module(path: Path) -> str:
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marker
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests that ``slow.txt`` lists; their files come first, so that no process waits long for another."""
+    names = {path: name_module(path) for path in {item.path for item in items}}
     for item in items:
         function = getattr(item, "originalname", item.name)
-        module = name_module(item.path)
+        module = names[item.path]
         if module in SLOW or f"{module}::{function}" in SLOW:
             item.add_marker("slow")
     files = {name.partition("::")[0] for name in SLOW}
-    items.sort(key=lambda item: name_module(item.path) not in files)
+    items.sort(key=lambda item: (names[item.path] not in files, names[item.path]))
 
 
 def pytest_collection_finish() -> None:

@@ -58,7 +58,7 @@ FIELDS = {
     Extent.SAMPLE: 3,
     Extent.LONG: None,
 }  # kinds of fields of a base and a group that are falsified
-RANDOM_EDITS = {Extent.SHORT: 4, Extent.SAMPLE: 50, Extent.LONG: 150}
+RANDOM_EDITS = {Extent.SHORT: 2, Extent.SAMPLE: 50, Extent.LONG: 150}
 CANCELS = {Extent.SHORT: 20, Extent.SAMPLE: 100, Extent.LONG: 500}
 
 

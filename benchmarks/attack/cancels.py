@@ -35,7 +35,7 @@ from service.work.plan import PlanAnswer, PlanTask, run_plan, warm_up
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCAN = EXAMPLES / "data" / "valve_scan.pcd"
-DENSER, THINNER = 3, 3  # times the points of the scan, and every how many of them
+DENSER, THINNER = 3, 6  # times the points of the scan, and every how many of them
 CHECKED_EVERY = 5  # cancels after which a plan is compared, besides the last
 AT_LONGEST_S = 900.0
 CRASHES = ("Fatal Python error", "Segmentation fault", " ended: ")

@@ -27,13 +27,15 @@ FINGERS = """
 Message = dict[str, Any]
 Change = Callable[[Message], Message]
 
+LONG = ("fixed: times in milliseconds",)  # asked by results/test_certify_doubts.py too; it lasts 3,200 s
+
 
 def attacks() -> list[Attack]:
     """Return lies, each with a word that the answer must have, and honest files."""
     lies = ((f"{robot}: {name}", partial(_lie, robot, *rest)) for name, (robot, *rest) in LIES.items())
     honest = ((f"certify, {robot}: {name}", partial(_honest, robot, *rest)) for name, (robot, *rest) in HONEST.items())
     return [
-        *(Attack("certify", name, run) for name, run in lies),
+        *(Attack("certify", name, run, name not in LONG) for name, run in lies),
         *(Attack("harmless", name, run) for name, run in honest),
         Attack("certify", "planar: the base through the post", partial(_lie, "planar", "post", BACK, how="spline")),
         Attack("certify", "fixed: points given twice", _repeat_points),

@@ -39,7 +39,6 @@ from service.verify import (
 )
 
 ROBOT_HERE = "the robot in this folder"
-DRAWN = ("arm",)  # whose edits include that of its drawings
 LONG_BASES = (
     "valve",
     "lever",
@@ -59,13 +58,8 @@ SHORT = (
     "turn backwards",
     "phases merged into one",
     "contacts that change while the robot moves",
-    "friction of the request lowered",
     "the rod is off the face during the move",
-    "the hand lets go half way",
     "the object moves while the hand rests",
-    "the law is twice as fast and the joints may be too",
-    "pushes as before they were written",
-    "the rod on the other side of the bar",
     "hands that slip",
     "servos that give way less",
 )
@@ -106,6 +100,26 @@ LONG = (
     "pose goal moved by 30 cm",
     "support polygon removed",
     "sole and polygon enlarged",
+    "fingers open as they carry",
+    "one finger holds alone",
+    "floor of the request raised by 10 cm",
+    "planted elsewhere",
+    "balance margin negative",
+    "sole reduced to one corner",
+    "support polygon enlarged",
+    "allowance retargeted",
+    "kept pose about a free axis",
+    "target free along one axis",
+    "orientation added to the goal",
+    "start base of the request moved",
+    "goal that was missed loosened",
+    "goal that was missed loosened in the request but not enough",
+    "pose goal moved by 12 mm",
+    "target tolerance loosened",
+    "box moved into the hand",
+    "floor shrunk to the size of a coin",
+    "zmp taken on another plane",
+    "standing on one foot demanded",
 )  # of quick bases: the short version has another lie about the same values
 
 
@@ -286,8 +300,7 @@ class Edit:
         self, base: str, scratch: Path, judge: Callable[[Path], tuple[Answer, str]] = judges.verify
     ) -> tuple[Answer, str]:
         """Edit a fresh copy and judge it."""
-        # Each verification draws what a folder has of drawings: of a humanoid this takes as long as its proof.
-        folder = Folder(bases.copy_of(base, scratch, is_drawn=base in DRAWN))
+        folder = Folder(bases.copy_of(base, scratch))
         before = fingerprint(folder.path)
         self.change(folder)
         folder.save(self.level)

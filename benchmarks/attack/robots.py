@@ -14,7 +14,13 @@ from benchmarks.attack.requests import Expected, Lie, Make, answer_of
 Change = Callable[[ET.Element], object]
 NO, NAMED, TRUTH = Expected.NO_CERTIFICATE, Expected.NAMED, Expected.TRUTH
 ROBOTS: dict[str, Make] = {}
-SLOW = ("origin of a million metres", "hand's mesh in kilometres")
+# Left to the long version: two are slow, and of the others a wall behind rail and lift together stays.
+LONG = (
+    "origin of a million metres",
+    "hand's mesh in kilometres",
+    "lift through a ceiling of its own",
+    "rail through a wall of its own",
+)
 
 
 def attacks() -> list[Attack]:
@@ -23,7 +29,7 @@ def attacks() -> list[Attack]:
     def run(make: Make) -> Callable[[Path], tuple[Answer, str]]:
         return lambda scratch: answer_of(make(scratch), scratch)
 
-    return [Attack("robots", name, run(make), name not in SLOW) for name, make in ROBOTS.items()]
+    return [Attack("robots", name, run(make), name not in LONG) for name, make in ROBOTS.items()]
 
 
 def _arm(

@@ -144,7 +144,8 @@ def _near(kind: str, radius: float, direction: tuple[float, float, float]) -> At
         answer, text = answer_of(lie, scratch)
         return (answer, text) if answer in (Answer.TRUE, Answer.CRASHED) else (Answer.ALARM, text)
 
-    return Attack("harmless", f"a {kind} of {radius:g} m out of reach towards {direction}", run)
+    name = f"a {kind} of {radius:g} m out of reach towards {direction}"
+    return Attack("harmless", name, run, direction in (DIRECTIONS[0], DIRECTIONS[-1]))
 
 
 DIRECTIONS = ((1.0, 0.0, 0.0), (1.0, 0.3, 0.2), (0.6, 0.6, 0.3), (0.5, -0.6, 0.6), (0.3, 0.4, 0.85))

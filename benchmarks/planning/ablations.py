@@ -39,12 +39,13 @@ from costs.robot import RobotModel, load_robot
 from costs.state import MotionState
 from scopt import Problem, Settings, TrustRegionSQP
 from service.bench.problem_set import BenchRobot, read_problems
+from service.body.aims import Aims
 from service.body.monitor import Monitor
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
 from service.body.poses import find_pose
 from service.body.task_plan import Solved
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.request.schema import PlanRequest
 from service.setup.prepare import prepare
 from service.tasks.reach.goal import Goal

@@ -22,9 +22,10 @@ from costs.robot import RobotModel
 from costs.robot.shapes import box
 from costs.scene import ConvexPiece, Scene
 from scopt import TrustRegionSQP
+from service.body.aims import Aims
 from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.phase import TaskPhase
 from service.motion.execute import make_motion
 from service.motion.timing import TimingSettings

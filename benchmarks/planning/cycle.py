@@ -21,7 +21,8 @@ from costs.terms import FramePose
 from scopt import Constraint, Problem, Sense
 from scopt.convex_model import assemble, convexify
 from scopt.qp import select_backend
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 
 N_WAYPOINTS = 20
 N_PIECES = 60

@@ -30,9 +30,10 @@ from benchmarks.tables import print_table
 from costs.kinematics import KinematicsEngine, locate_frame, locate_links
 from costs.robot import RobotModel
 from scopt import EffortClock
+from service.body.aims import Aims
 from service.body.paths import straight_path
 from service.body.sampling import free_coordinates
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import PlanRequest

@@ -87,22 +87,9 @@ def try_robot(urdf: Path, packages: Path, srdf: Path | None) -> dict[str, object
             proposed.write_text(check_robot(robot).srdf, encoding="utf-8")
             return {**try_robot(urdf, packages, proposed), **loads, "proposed": True}
     row.update(loads=True, **loads, n=robot.n, notes=list(getattr(robot, "notes", ())))
-    rng = np.random.default_rng(0)
-    starts = [np.clip(np.zeros(robot.n), robot.lower, robot.upper)]
-    for reach, count in ((1.0, N_STARTS // 2), (np.pi, N_STARTS // 2)):
-        lower, upper = np.maximum(robot.lower, -reach), np.minimum(robot.upper, reach)
-        lower, upper = np.minimum(lower, robot.upper), np.maximum(upper, robot.lower)
-        starts += [0.5 * (lower + upper), *(rng.uniform(lower, upper) for _ in range(count))]
+    starts = list_starts(robot)
     for index, q in enumerate(starts):
-        column = int(np.argmax(np.minimum(robot.upper - robot.lower, 10.0)))
-        step = min(0.1, 0.5 * float(robot.upper[column] - robot.lower[column]))
-        value = float(q[column]) + (step if q[column] + step <= robot.upper[column] else -step)
-        data = {
-            "robot": robot_data,
-            "start": {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))},
-            "goal": {"joints": {robot.joint_names[column]: value}},
-            "options": {"time_limit_s": TIME_LIMIT_S},
-        }
+        data = make_request(robot, robot_data, q)
         started = time.process_time()
         try:
             result = plan(parse_request(data, folder=urdf.parent), robot=robot)
@@ -118,19 +105,43 @@ def try_robot(urdf: Path, packages: Path, srdf: Path | None) -> dict[str, object
                 result = plan(parse_request(data, folder=urdf.parent), robot=robot)
             except RequestError:
                 continue
-        if result.verdict.value in ("NOT_FOUND", "INFEASIBLE", "TIME_LIMIT") and index + 1 < len(starts):
-            row["line"] = row["line"] or " ".join(result.explanation)
-            row["verdict"] = result.verdict.value
-            if result.verdict.value == "TIME_LIMIT":
-                break
+        verdict = result.verdict.value
+        if verdict in ("NOT_FOUND", "INFEASIBLE") and index + 1 < len(starts):
+            row.update(line=row["line"] or " ".join(result.explanation), verdict=verdict)
             continue
-        row["verdict"], row["plan_s"], row["start"] = result.verdict.value, time.process_time() - started, index
-        if result.verdict.value == "CERTIFIED":
+        row.update(verdict=verdict, plan_s=time.process_time() - started, start=index)
+        if verdict == "CERTIFIED":
             row["line"] = ""
         elif result.certificate is not None:
             row["line"] = "; ".join(result.explanation)[:300]
+        else:
+            row["line"] = row["line"] or " ".join(result.explanation)
         break
     return row
+
+
+def list_starts(robot: RobotModel) -> list[np.ndarray]:
+    """Return configurations to begin at: all joints at 0 or the nearest limit, the middles of limits, random ones."""
+    rng = np.random.default_rng(0)
+    starts = [np.clip(np.zeros(robot.n), robot.lower, robot.upper)]
+    for reach in (1.0, np.pi):
+        lower, upper = np.maximum(robot.lower, -reach), np.minimum(robot.upper, reach)
+        lower, upper = np.minimum(lower, robot.upper), np.maximum(upper, robot.lower)
+        starts += [0.5 * (lower + upper), *(rng.uniform(lower, upper) for _ in range(N_STARTS // 2))]
+    return starts
+
+
+def make_request(robot: RobotModel, robot_data: dict[str, object], q: np.ndarray) -> dict[str, object]:
+    """Return the request that moves the joint with the widest limits by 0.1 rad or m, or half of its limits, from q."""
+    column = int(np.argmax(np.minimum(robot.upper - robot.lower, 10.0)))
+    step = min(0.1, 0.5 * float(robot.upper[column] - robot.lower[column]))
+    value = float(q[column]) + (step if q[column] + step <= robot.upper[column] else -step)
+    return {
+        "robot": robot_data,
+        "start": {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))},
+        "goal": {"joints": {robot.joint_names[column]: value}},
+        "options": {"time_limit_s": TIME_LIMIT_S},
+    }
 
 
 def main() -> None:

@@ -28,7 +28,8 @@ from costs.robot import RobotModel, load_robot
 from costs.scene import ConvexPiece, Scene
 from scopt.convex_model import assemble, convexify
 from scopt.qp import select_backend
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 
 ROOT = Path(__file__).resolve().parents[2]
 AXES: dict[str, tuple[int, ...]] = {

@@ -42,10 +42,11 @@ from costs.kinematics import locate_links
 from costs.robot import RobotModel
 from costs.terms import FramePose
 from scopt import Constraint, Sense, Settings, TrustRegionSQP
+from service.body.aims import Aims
 from service.body.holds import KeptPose, relative_pose
 from service.body.paths import straight_path
 from service.body.task_plan import PlannedPhase, TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.phase import TaskPhase
 from service.errors import RequestError
 from service.motion.execute import make_motion

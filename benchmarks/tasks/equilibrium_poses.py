@@ -26,13 +26,14 @@ from costs.scene import Scene
 from costs.state import MotionState
 from costs.terms import CentreOfMassAt, ContactPlace
 from scopt import Constraint, Sense
+from service.body.aims import Aims
 from service.body.forces.equilibrium_pose import (
     EquilibriumPose,
     ForceLimits,
     make_planted_contacts,
     solve_equilibrium_pose,
 )
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 
 FEET, TOOLS = ("l_foot", "r_foot"), ("l_tool", "r_tool")
 FRICTION = 0.7

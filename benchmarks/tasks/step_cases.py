@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel
 from scopt import Constraint, Sense
+from service.body.aims import Aims
 from service.body.forces.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands import compose_scene
 from service.demands.contacts.stances import find_link_pose, make_contact_allowances, place_patch
 from service.demands.contacts.surfaces import make_surfaces

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,20 +36,18 @@ from costs.terms import (
 )
 from costs.terms.rolling import FEWEST_INTERVALS
 from scopt import Constraint, Cost, Problem, Residual, Sense
+from service.body.aims import Aims
 from service.body.comfort import keep_balanced, keep_in_region, keep_upright, smooth_joints
 from service.body.forces.loaded_regions import PlannedRegion, plan_contact_region
 from service.body.holds import CONTACT_DRIFT, DRIFT, Hold, project_onto_holds
 from service.body.kept import Kept
-from service.demands.distances import Distances
 from service.demands.stance import BALANCE_RESERVE, are_level, make_standing_allowances, plant_feet
-from service.request.schema import Options
 from service.verify import PlantedContact
 
 BASE_SPEED = 0.5  # natural speed of a coordinate without a velocity limit [m/s, rad/s]
 FOOT_TOLERANCE = 2e-5  # per row [m, rad]: the sole's corners stay within 0.1 mm
 ROLLING_TOLERANCE = 1e-5  # per row [m, rad]; the curve is made without these errors
 CLEARANCE_TERMS = ("collision", "self-collision")
-CLEARANCE_RESERVE_M = 5e-3  # beyond a demanded clearance, for the curve between waypoints
 SELF_SHARE = 0.5  # of the margin between the robot's own links: their distance is known better than the world's
 CLEARANCE_TOLERANCE = 2e-3  # of the clearance margin [m]
 LEAST_APART = 5e-4  # between waypoints of pairs that are farther apart than the tolerance at an end [m]
@@ -61,37 +59,6 @@ LEAST_SEEN = 1e-4  # distance of links from which single poses count as apart [m
 SAMPLING_CLEARANCE = 5e-3  # of a sampled start; the optimiser adds the rest of the margin [m]
 BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move instead
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
-
-
-@dataclass(frozen=True)
-class Aims:
-    """Margins of a plan [m].
-
-    Attributes:
-        margin: clearance aimed at.
-        balance_margin: distance of the centre of mass inside the support polygon.
-        distances: demanded ones from the world, below which no motion is certified.
-    """
-
-    margin: float = 0.02
-    balance_margin: float = 0.02
-    distances: Distances = field(default_factory=Distances)
-
-    @staticmethod
-    def of(options: Options, robot: RobotModel, scene: Scene) -> Aims:
-        """Return the margins of a request; demanded distances are aimed at with a reserve."""
-        distances = Distances.of(options, scene)
-        least = distances.bound_least(robot)
-        margin = max(options.margin_m, least + CLEARANCE_RESERVE_M) if least else options.margin_m
-        return Aims(margin, options.balance_margin_m, distances)
-
-    def list_padded(self, robot: RobotModel, scene: Scene) -> tuple[tuple[BodyRef, BodyRef, float], ...]:
-        """Return the margins of links and pieces whose padding demands more than the margin of all others."""
-        return tuple(
-            (BodyRef("robot", link), BodyRef("scene", None, piece), least + CLEARANCE_RESERVE_M)
-            for link, piece, least in self.distances.list_padded(robot, scene)
-            if least + CLEARANCE_RESERVE_M > self.margin
-        )
 
 
 @dataclass(frozen=True)
@@ -351,58 +318,73 @@ class WholeBody:
             regions: where the loaded feet hold the robot, instead of their hull.
         """
         n_waypoints = len(lower)
-        everywhere = np.arange(n_waypoints)
-        standing: list[Constraint[MotionState]] = [
-            Constraint(
-                f"planted {foot.link}",
-                self.keep_planted(foot, everywhere),
-                Sense.EQUAL_ZERO,
-                FOOT_TOLERANCE,
-                unit="m or rad",
-            )
-            for foot in self.planted
-        ]
-        if self.robot.rolls and n_waypoints > FEWEST_INTERVALS:
-            rolling = RollingBase(n_waypoints)
-            standing.append(Constraint("rolling base", rolling, Sense.EQUAL_ZERO, ROLLING_TOLERANCE, unit="m or rad"))
-        standing += [constraint for kept in self.kept for constraint in kept.constraints(self.robot, everywhere)]
         if self.region is not None and not regions:
             regions = (replace(self.region, first=0, last=n_waypoints - 1),)
-        inside: Residual[MotionState] | None = None
-        margin = self.aims.balance_margin + BALANCE_RESERVE
-        if regions:
-            inside = Joined([keep_in_region(planned, everywhere, margin) for planned in regions])
-        elif self.polygon is not None:
-            inside = CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)
-        if inside is not None:
-            standing.append(Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m"))
-        for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
-            acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
-            clearance = SweptClearance(self.robot, is_self=is_self)
-            standing.append(Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, acceptable=acceptable, unit="m"))
+        standing = [
+            *self._stay_planted(n_waypoints),
+            *self._stay_balanced(n_waypoints, balanced, regions),
+            *self._stay_clear(),
+        ]
 
         def state(x: Float[np.ndarray, "T n"]) -> MotionState:
             kinematics = self.engine(x)
             return MotionState(kinematics, self.adjust_contacts(checker(kinematics), n_waypoints))
 
-        defaults: tuple[Cost[MotionState], ...] = ()
-        if self.has_default_costs:
-            defaults = smooth_joints(self.robot, self.nominal, n_waypoints)
-        if self.has_default_costs and self.is_comfortable:
-            balanced_costs = keep_balanced(self.polygon, regions, everywhere, wants_reserve=self.wants_reserve)
-            defaults = (*defaults, *keep_upright(self.robot, everywhere), *balanced_costs)
-        if self.room_m > 0.0:
-            defaults = (*defaults, Cost("room", Room(self.robot, self.room_m), ROOM_WEIGHT / n_waypoints))
         return Problem(
             lower,
             upper,
-            (*defaults, *costs),
+            (*self._list_default_costs(n_waypoints, regions), *costs),
             (*standing, *constraints),
             state,
             self.step_scale(),
             lambda x: MotionState(self.engine.place(x), Contacts.none()),
             self._mobility(),
         )
+
+    def _stay_planted(self, n_waypoints: int) -> Iterator[Constraint[MotionState]]:
+        """Yield what holds planted links, wheels and kept poses in place at all waypoints."""
+        everywhere = np.arange(n_waypoints)
+        for foot in self.planted:
+            held = self.keep_planted(foot, everywhere)
+            yield Constraint(f"planted {foot.link}", held, Sense.EQUAL_ZERO, FOOT_TOLERANCE, unit="m or rad")
+        if self.robot.rolls and n_waypoints > FEWEST_INTERVALS:
+            rolling = RollingBase(n_waypoints)
+            yield Constraint("rolling base", rolling, Sense.EQUAL_ZERO, ROLLING_TOLERANCE, unit="m or rad")
+        for kept in self.kept:
+            yield from kept.constraints(self.robot, everywhere)
+
+    def _stay_balanced(
+        self, n_waypoints: int, balanced: Sequence[int] | None, regions: Sequence[PlannedRegion]
+    ) -> Iterator[Constraint[MotionState]]:
+        """Yield what keeps the centre of mass in its regions, or else in the support polygon, if there is any."""
+        everywhere = np.arange(n_waypoints)
+        margin = self.aims.balance_margin + BALANCE_RESERVE
+        inside: Residual[MotionState]
+        if regions:
+            inside = Joined([keep_in_region(planned, everywhere, margin) for planned in regions])
+        elif self.polygon is not None:
+            inside = CentreOfMassInPolygon(self.polygon, everywhere if balanced is None else balanced, margin)
+        else:
+            return
+        yield Constraint("balance", inside, tolerance=0.5 * BALANCE_RESERVE, unit="m")
+
+    def _stay_clear(self) -> Iterator[Constraint[MotionState]]:
+        """Yield what keeps the margin from the world, and between the robot's own links."""
+        for name, is_self in zip(CLEARANCE_TERMS, (False, True), strict=True):
+            acceptable = ACCEPTABLE_SHARE * self.aims.margin * (SELF_SHARE if is_self else 1.0)
+            clearance = SweptClearance(self.robot, is_self=is_self)
+            yield Constraint(name, clearance, tolerance=CLEARANCE_TOLERANCE, acceptable=acceptable, unit="m")
+
+    def _list_default_costs(self, n_waypoints: int, regions: Sequence[PlannedRegion]) -> Iterator[Cost[MotionState]]:
+        """Yield the costs of every phase: of speed and posture, of comfort, of room."""
+        everywhere = np.arange(n_waypoints)
+        if self.has_default_costs:
+            yield from smooth_joints(self.robot, self.nominal, n_waypoints)
+        if self.has_default_costs and self.is_comfortable:
+            yield from keep_upright(self.robot, everywhere)
+            yield from keep_balanced(self.polygon, regions, everywhere, wants_reserve=self.wants_reserve)
+        if self.room_m > 0.0:
+            yield Cost("room", Room(self.robot, self.room_m), ROOM_WEIGHT / n_waypoints)
 
     def adjust_contacts(self, contacts: Contacts, n_waypoints: int) -> Contacts:
         """Return the contacts of a trajectory as they enter its problem: by default as they are."""

@@ -17,9 +17,10 @@ from costs.scene import Scene
 from costs.state import MotionState
 from costs.terms import FramePose, JointTarget
 from scopt import Cost, Iteration, Settings, TrustRegionSQP
+from service.body.aims import Aims
 from service.body.holds import POSITION, ROTATION, Hold
 from service.body.inverse_kinematics import solve_holds
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.stance import Stance, make_standing_allowances
 from service.errors import RequestError
 from service.posing.drag import Drag, DragTarget, LedPose, Move

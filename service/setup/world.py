@@ -102,38 +102,36 @@ def read_surroundings(
     Raises:
         RequestError: a file that cannot be used.
     """
-    shown = _read_shown(request, robot, start, soles, see)
-    moved = getattr(request.section, "moved_m", None)
-    if moved is None or not (shown.valves or shown.doors):
-        return shown
-    offset = np.array(moved)
-    shown = shown.move_valve(offset) if shown.valves else shown.move_door(offset)
-    what = "valve" if shown.valves else "door"
-    note = f"the {what} was moved by hand by {np.linalg.norm(offset):.3f} m from where the scan shows it"
-    return replace(shown, notes=(*shown.notes, note))
-
-
-def _read_shown(
-    request: PlanRequest,
-    robot: RobotModel,
-    start: Float[np.ndarray, "n"],
-    soles: Mapping[str, np.ndarray],
-    see: Callable[..., Perceived] | None,
-) -> Surroundings:
-    """Return what scan or scene file show, without corrections by hand."""
     scene, section = request.scene, request.section
     hint = section.near or scene.hint
     if scene.file is not None:
-        from service.scan.scene_file import read_scene  # takes a while, and few requests need it
-
-        record = read_scene(request.resolve(scene.file), "scene.file")
-        if TURNABLE not in section.detected:
-            return Surroundings(record.pieces)
-        valves = record.valves(hint)
-        return Surroundings(record.pieces_without(valves[:1]), valves, seen=record.list_seen_parts(hint))
-    if scene.cloud is None:
+        shown = _read_scene_file(request, request.resolve(scene.file), hint)
+    elif scene.cloud is not None:
+        shown = _perceive_scan(request, robot, start, list(soles.values()), hint, see)
+    else:
         return NOTHING
-    return _perceive_scan(request, robot, start, list(soles.values()), hint, see)
+    return shown if section.moved_by is None else _move_by_hand(shown, np.array(section.moved_by))
+
+
+def _move_by_hand(shown: Surroundings, offset: Float[np.ndarray, "3"]) -> Surroundings:
+    """Return the surroundings with what the task moves where a person corrected it to."""
+    if not (shown.valves or shown.doors):
+        return shown
+    moved = shown.move_valve(offset) if shown.valves else shown.move_door(offset)
+    what = "valve" if shown.valves else "door"
+    note = f"the {what} was moved by hand by {np.linalg.norm(offset):.3f} m from where the scan shows it"
+    return replace(moved, notes=(*moved.notes, note))
+
+
+def _read_scene_file(request: PlanRequest, path: Path, hint: tuple[float, float, float] | None) -> Surroundings:
+    """Read the request's scene file, with the valve nearest to the hint first."""
+    from service.scan.scene_file import read_scene  # takes a while, and few requests need it
+
+    record = read_scene(path, "scene.file")
+    if TURNABLE not in request.section.detected:
+        return Surroundings(record.pieces)
+    valves = record.valves(hint)
+    return Surroundings(record.pieces_without(valves[:1]), valves, seen=record.list_seen_parts(hint))
 
 
 def _perceive_scan(

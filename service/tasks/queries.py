@@ -14,9 +14,10 @@ from costs.curve import Curve
 from costs.robot import RobotModel
 from costs.scene import ConvexPiece, Scene
 from scopt import Settings
+from service.body.aims import Aims
 from service.body.monitor import Interrupted, Monitor
 from service.body.phases import PhaseSolver
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands import list_planted_feet
 from service.errors import RequestError, would_do
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest

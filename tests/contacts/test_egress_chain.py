@@ -15,8 +15,9 @@ from tiny_robots import PLANAR, chain
 
 from costs.contact import GRAVITY, Contact
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.forces.loaded_regions import plan_contact_region
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import Surface
 from service.request.tasks.egress import WeightsRequest
 from service.tasks.egress.aims import ContactAim

@@ -14,7 +14,8 @@ from costs.terms import AxisDirection, FramePose, JointDifference
 from scopt import Constraint, Cost, Penalty, Sense
 from scopt.convex_model import assemble, convexify
 from scopt.qp import BACKENDS, select_backend
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 
 N_ITERATIONS = 3
 N_WAYPOINTS = 6

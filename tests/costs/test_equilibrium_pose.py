@@ -19,6 +19,7 @@ from costs.scene import ConvexPiece, Scene
 from costs.static_region import StaticRegionError, find_static_region
 from costs.terms import CentreOfMassAt, ContactForce, ContactPlace
 from scopt import Constraint, Cost, Sense
+from service.body.aims import Aims
 from service.body.forces.contact_forces import ForceRows
 from service.body.forces.equilibrium_pose import (
     ForceLimits,
@@ -26,7 +27,7 @@ from service.body.forces.equilibrium_pose import (
     make_planted_contacts,
     solve_equilibrium_pose,
 )
-from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 
 FEET = ("l_foot", "r_foot")
 UP = np.array([0.0, 0.0, 1.0])

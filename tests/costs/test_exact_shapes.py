@@ -15,7 +15,8 @@ from tiny_robots import atlas
 from costs.primitive import make_round_shape
 from costs.robot import load_robot, shapes
 from costs.scene import ConvexPiece, Scene
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.errors import RequestError
 from service.explain.goal import find_goal_reasons
 from service.planner import plan

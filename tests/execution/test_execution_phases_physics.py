@@ -8,13 +8,18 @@ import pytest
 pytest.importorskip("mujoco", reason="needs MuJoCo: pip install 'scopt[sim]'")
 from shared_plans import write_example
 
+from service.demands.kind import read_mechanism_physics
 from service.execution.execution import Execution
 from service.execution.machine import Mode, Order
 from service.execution.reference import PlannedReference
+from service.simulation.model import build_physics
 from service.simulation.options import SimulationOptions
+from service.simulation.robot import SimulatedRobot
 from service.simulation.stand import read_recorded_request, stand_in_physics
+from service.start.robot import resolve_stiffness
 
 STEPS = 4  # of the physics per command
+BEFORE_S = 0.5  # of a phase, when a run begins that is aborted in its middle
 STANDS_M = 0.05  # of the pelvis from the plan
 
 
@@ -57,8 +62,13 @@ def test_a_plan_is_paused_in_every_phase_and_ends_where_it_should():
 
 def test_a_plan_is_aborted_in_every_phase_and_the_robot_stays_up():
     reference, request = read_plan()
+    options = SimulationOptions(hand_friction=request.options.hand_friction[0])
+    stiffness = resolve_stiffness(reference.motion.robot, request)
+    model = build_physics(reference.motion, read_mechanism_physics(request), options, stiffness)
     for phase in reference.phases:
-        execution = Execution(reference, stand_in_physics(reference, request, SimulationOptions(settle_s=0.2), STEPS))
+        begin = max(phase.begin_s - BEFORE_S, 0.0)
+        robot = SimulatedRobot(model, reference.at(begin).configuration, options, STEPS)
+        execution = Execution(reference, robot, None, begin)
         middle = 0.5 * (phase.begin_s + phase.end_s)
         run_until(execution, lambda cycle, at=middle: cycle.state.time_s >= at)
         execution.give(Order.ABORT)

@@ -32,7 +32,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 def test_a_worker_simulates_the_files_of_a_result(files: dict[str, bytes]) -> None:
-    answer = simulate(files, {"feed_forward": 1.0, "seed": 3}, NeverStops())
+    answer = simulate(files, {"feed_forward": 1.0, "seed": 3, "settle_s": 0.2, "after_s": 0.2}, NeverStops())
     assert not isinstance(answer, Refused)
     # Nobody touches the wheel that this plan turns.
     assert (answer["verdict"], answer["options"]["seed"]) == ("STOOD", 3)

@@ -15,6 +15,7 @@ from planar_arm import write_planar_arm
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
 from scopt import Settings
+from service.body.aims import Aims
 from service.body.effort import Effort
 from service.body.ladder import GivenEnd, MotionSearch, NoEnd, find_motion, list_motions
 from service.body.monitor import Monitor
@@ -32,7 +33,7 @@ from service.body.starts import (
     Way,
     choose_policy,
 )
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 
 CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 POST = ConvexPiece("post", 0.1 * CORNERS + [0.5, 0.0, 0.0])

@@ -9,9 +9,10 @@ import numpy as np
 from tiny_robots import PLANAR, chain
 
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.monitor import Monitor
 from service.body.task_plan import PlannedPhase, Solved, TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.phase import TaskPhase
 from service.motion.execute import make_motion, repair_plan
 from service.motion.timing import TimingSettings

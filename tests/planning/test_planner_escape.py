@@ -15,7 +15,8 @@ from stranger import Stranger
 from costs.allowance import Allowance, BodyRef
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.body.whole_body import CLEARANCE_TOLERANCE, Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.cli.report import print_figures, print_findings, print_verdict
 from service.demands.stance import DEPTH_ROUNDING
 from service.errors import RequestError

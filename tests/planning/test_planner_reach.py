@@ -10,9 +10,10 @@ from stranger import Stranger
 from costs.kinematics import locate_links
 from service import planner
 from service import verify as verifier
+from service.body.aims import Aims
 from service.body.monitor import Monitor
 from service.body.poses import find_pose
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.planner import plan
 from service.request.file import parse_request
 from service.request.schema import Options, PlanRequest

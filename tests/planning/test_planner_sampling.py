@@ -10,9 +10,10 @@ from planar_arm import write_planar_arm
 from costs.kinematics import locate_links
 from costs.robot import load_robot
 from costs.scene import ConvexPiece, Scene
+from service.body.aims import Aims
 from service.body.paths import resample_path
 from service.body.sampling import HeldProblem, SamplingProblem, Tree, free_coordinates, sample_path
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import Verdict

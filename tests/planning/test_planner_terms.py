@@ -68,7 +68,7 @@ def test_a_constraint_that_cannot_be_kept_is_the_reason_why_nothing_was_found(re
     def terms(phase, robot, n_waypoints):
         return [Constraint("nowhere", ConvexExpression(robot.n, lambda q: cvxpy.norm(q - 9.0) <= 1.0, [3]))]
 
-    options = replace(request_of.options, time_limit_s=6.0)  # which the search uses up
+    options = replace(request_of.options, time_limit_s=3.0)  # which the search uses up
     result = plan(replace(request_of, options=options), terms=terms, clock=EffortClock())
     assert result.verdict is Verdict.NOT_FOUND
     assert any("nowhere is missed by" in line for line in result.explanation)

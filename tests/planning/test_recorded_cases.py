@@ -43,7 +43,9 @@ def test_a_certified_hold_is_done_in_physics(shared_cases: Path, name: str) -> N
     result = plan(load_request(shared_cases / "holds" / f"{name}.yaml"))
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     assert result.motion is not None
-    options = SimulationOptions(settle_s=0.3, after_s=1.0)
+    # Its kinds are done at the lower end of the hands' friction in execution/test_simulation_kinds.py; many jam above.
+    friction = None if name == "door_ajar" else result.request.options.hand_friction[1]
+    options = SimulationOptions(hand_friction=friction, settle_s=0.3, after_s=1.0)
     runs = execute_motion(result.motion, result.request, "CERTIFIED", request_hash(result.request), options)
     report, _ = make_report(runs)
     assert report["verdict"] == "DONE", report["explanation"]

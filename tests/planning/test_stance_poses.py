@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel, load_robot, with_mechanism
 from costs.scene import Scene
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.demands.door.demand import make_door, measure_peg, read_given_door
 from service.demands.door.door import Door
 from service.demands.door.phases import DoorChoice, make_door_phases

@@ -20,8 +20,9 @@ from stance_starts import write_start
 from costs.scene import Scene
 from costs.support import SupportPolygon
 from costs.terms import JointTarget
+from service.body.aims import Aims
 from service.body.holds import project_onto_holds
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result

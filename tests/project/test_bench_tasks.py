@@ -11,7 +11,8 @@ from benchmarks.tasks.given_cases import N_DOORS, N_VALVES, make_doors, make_val
 from benchmarks.tasks.scanned import displace, make_request
 from benchmarks.tasks.scanned_cases import make_scanned_doors, make_scanned_valves
 from costs.robot import load_robot, with_mechanism
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.request.file import parse_request
 from service.setup.prepare import prepare
 from service.tasks.door.plan import find_door

@@ -80,6 +80,20 @@ def test_of_several_valves_the_one_near_the_hint_is_meant(atlas: RobotModel, tmp
     assert setup.surroundings.valves[0].centre[0] == 2.0
 
 
+def test_a_valve_moved_by_hand_is_turned_where_it_was_moved_to_with_what_is_behind_it(
+    atlas: RobotModel, tmp_path: Path
+) -> None:
+    pieces = [_cube("stem", (1.05, 0.1, 1.1), 0.03, "stem"), _cube("wall/0", (3.0, 0.0, 1.0), 1.0)]
+    _write(tmp_path, pieces=pieces, detections=[_hit(0.8, 0.9)])
+    task = {"valve": {"moved_m": [0.0, 0.03, 0.04]}}
+    setup = _prepare(atlas, tmp_path, {"file": "scene.json"}, task=task)
+    assert setup.surroundings.valves[0].centre == pytest.approx([0.8, 0.13, 1.14])
+    middles = {piece.name: piece.vertices.mean(axis=0) for piece in setup.scene.pieces}
+    assert middles["stem"] == pytest.approx([1.05, 0.13, 1.14])
+    assert middles["wall/0"] == pytest.approx([3.0, 0.0, 1.0])
+    assert "the valve was moved by hand by 0.050 m from where the scan shows it" in setup.notes
+
+
 def test_a_goal_leaves_the_wheel_where_it_is(atlas: RobotModel, tmp_path: Path) -> None:
     _write(tmp_path, pieces=[_cube("clutter/0", (0.8, 0.28, 1.1), 0.03)], detections=[_hit(0.8, 0.9)])
     assert [p.name for p in _prepare(atlas, tmp_path, {"file": "scene.json"}).scene.pieces] == ["clutter/0", "floor"]

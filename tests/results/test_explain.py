@@ -17,12 +17,13 @@ from costs.robot import load_robot
 from costs.scene import Scene
 from costs.terms import JointTarget
 from scopt import Constraint, Sense, Settings
+from service.body.aims import Aims
 from service.body.monitor import Monitor
 from service.body.paths import straight_path
 from service.body.phases import PhaseSolver
 from service.body.poses import find_pose
 from service.body.task_plan import LEAST_CLEARANCE
-from service.body.whole_body import CLEARANCE_TERMS, Aims, WholeBody
+from service.body.whole_body import CLEARANCE_TERMS, WholeBody
 from service.explain.conflict import Conflict, Demand, DemandKind, FilterOutcome
 from service.explain.narrow import explain
 from service.planner import _explain, plan

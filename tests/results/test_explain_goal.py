@@ -15,7 +15,8 @@ from costs.collision.shapes import make_convex
 from costs.kinematics import KinematicsEngine, locate_links
 from costs.robot import load_robot
 from costs.scene import Scene
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.explain.distance import chain_length, find_out_of_reach
 from service.explain.goal import GoalReasons, find_goal_reasons
 from service.start.overlaps import find_overlaps, penetration_depth

@@ -8,9 +8,10 @@ from tiny_robots import atlas
 
 from costs.kinematics import locate_links
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.holds import project_onto_holds
 from service.body.kept import make_kept_poses
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.explain.distance import find_never_kept
 from service.request.schema import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest

@@ -13,9 +13,10 @@ from given_doors import door_request
 from shared_plans import copy_undrawn
 
 from scopt import Settings
+from service.body.aims import Aims
 from service.body.monitor import Monitor
 from service.body.phases import PhaseSolver
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.client.answers import summarize
 from service.errors import ResultError
 from service.planner import plan

@@ -12,7 +12,8 @@ from costs.scene import ConvexPiece, Scene
 from costs.state import MotionState
 from costs.terms import FramePose, Masked
 from scopt import Sense
-from service.body.whole_body import Aims, WholeBody
+from service.body.aims import Aims
+from service.body.whole_body import WholeBody
 from service.tasks.trajopt.program import fit_body
 from service.trajopt import Builder, Program, Promises, Timeline
 from service.verify import AxisTarget, JointTarget, PoseTarget

@@ -213,9 +213,10 @@ def test_a_phase_solved_anew_keeps_its_steps_and_its_promises() -> None:
 def _phase_of(data: dict[str, Any]) -> ProgramPhase:
     """The first phase that a problem's task plans."""
     from scopt import Settings
+    from service.body.aims import Aims
     from service.body.monitor import Monitor
     from service.body.phases import PhaseSolver
-    from service.body.whole_body import Aims, WholeBody
+    from service.body.whole_body import WholeBody
     from service.setup.prepare import prepare
     from service.tasks import plan_task
 

@@ -15,8 +15,9 @@ from tiny_robots import atlas
 
 from costs.curve import Curve
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.forces.loaded_regions import plan_regions
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.verify import HandLoad, VerifyError
 from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium
 from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches

@@ -6,8 +6,9 @@ import numpy as np
 
 from benchmarks.planning.timing_reference import chain, spline_through
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.task_plan import PlannedPhase, TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.phase import TaskPhase
 from service.motion.execute import (
     BESIDE_REST,

@@ -16,8 +16,8 @@ from service.errors import ExecutionError
 from service.proto.planner.v1.result_pb2 import Trajectory
 from service.request.fields import Point
 from service.request.file import parse_request
+from service.request.tasks.hand_steps import FreeAxis, HandChoice, OtherHand
 from service.request.tasks.nudges import NudgeSettings, Touch, make_nudge
-from service.request.tasks.steps import FreeAxis, HandChoice, OtherHand
 
 PERIOD_S = 0.1  # between two moves: a held key repeats at most ten times a second
 CERTIFIED = "CERTIFIED"

@@ -14,7 +14,7 @@ from service.cli.console.order import Console, PageOrder
 from service.cli.console.posing import STEPS, make_drag, make_led_request, make_set
 from service.cli.console.sessions import OperatorSession
 from service.request.fields import SECTION, Name, Number, PlainData, Point, Section, at_most
-from service.request.tasks.steps import Force, FreeAxis, HandChoice, OtherHand
+from service.request.tasks.hand_steps import Force, FreeAxis, HandChoice, OtherHand
 
 POSE = "pose"  # the task of a plan to a pose that was led
 Quaternion = tuple[Number, Number, Number, Number]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from costs.robot import STOP_ROUNDING, LinkBody, Mechanism, RobotModel
 from service.demands.hands import Hand, list_robot_hands
+from service.demands.holds.hand_surfaces import find_cap, list_hand_surfaces, list_link_surfaces, place_fingers
 from service.demands.phase import AXIS, SAME_VALUE, FrameMotion, TaskPhase, find_rotation_onto
 from service.verify import (
     HAND_CAP_N,
@@ -24,8 +25,6 @@ from service.verify import (
     measure_beyond_hull,
     measure_excess,
     meet,
-    place_frames,
-    shrink_hull,
 )
 
 MOST_AIM = float(np.deg2rad(25.0))  # of a rod that pushes by its side, from the handle's axis
@@ -35,10 +34,6 @@ LEAST_BESIDE = 8e-3  # of a hand beside the face that it presses, from any other
 ALONG = 0.5  # cosine from which on a force counts as one along the way of a joint
 RESERVE = float(np.deg2rad(3.0))  # of the angles that friction permits, for the curve between the waypoints
 LITTLE_ACROSS = float(np.cos(np.deg2rad(5.0)))  # cosine from which on a contact pushes along the way alone
-
-
-Surface = tuple[str, str, Float[np.ndarray, "K 3"], float]
-"""Frame, name, core [m] and radius [m] of a surface that presses."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +131,7 @@ def find_nominal_pushes(
     contacts = _keep_nearest(list(_list_contacts(robot, hand, spec)), motion, robot)
     if not contacts:
         return
-    fingers = _place_fingers(robot, hand, spec)
+    fingers = place_fingers(robot, hand, spec)
     held = _HeldAt(motion.tool, _place_hand(motion, mechanism, spec.first), spec.first, fingers)
     pushed = frozenset(joint for joint, _, _ in needs)
     for joint, sense, force in needs:
@@ -150,18 +145,6 @@ def _find_hand(robot: RobotModel, motion: FrameMotion) -> Hand | None:
     """Return the hand that a frame belongs to."""
     hands = list_robot_hands(robot)
     return next((hand for hand in hands if motion.tool in (hand.tool, hand.peg, hand.stub)), None)
-
-
-def _place_fingers(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Mapping[str, Float[np.ndarray, "4 4"]]:
-    """Return the poses of fingers that a phase keeps closed, in the tool's frame; none of fingers that grip."""
-    motion = spec.hand
-    if hand is None or motion is None or motion.rotation is not None or not spec.joints:
-        return {}
-    q = np.zeros(robot.n)
-    for joint, (value, _) in spec.joints.items():
-        q[robot.joint_names.index(joint)] = value
-    poses = place_frames(robot, q, [motion.tool, *hand.fingers])
-    return {finger: np.linalg.inv(poses[motion.tool]) @ poses[finger] for finger in hand.fingers}
 
 
 def find_side(
@@ -185,7 +168,7 @@ def find_side(
                 shift = -distance * meeting.normal
                 moved = replace(motion, place=motion.place + shift)
                 pose = _place_hand(moved, mechanism, spec.first)
-                held = _HeldAt(motion.tool, pose, spec.first, _place_fingers(robot, hand, spec))
+                held = _HeldAt(motion.tool, pose, spec.first, place_fingers(robot, hand, spec))
                 gaps = [_measure_gap(robot, mechanism, contact, held, body) for body in others]
                 if min(gaps, default=np.inf) >= LEAST_BESIDE:
                     return np.asarray(shift)
@@ -235,8 +218,8 @@ def _list_contacts(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Ite
             if own.owner != "robot" or other.owner != "mechanism":
                 continue
             link = str(own.link)
-            surfaces = list(_list_link_surfaces(robot, link)) if hand is None else _find_surface(robot, hand, link)
-            cap = HAND_CAP_N if hand is None else _find_cap(robot, hand, link)
+            surfaces = list(list_link_surfaces(robot, link)) if hand is None else list_hand_surfaces(robot, hand, link)
+            cap = HAND_CAP_N if hand is None else find_cap(robot, hand, link)
             for frame, words, core, radius in surfaces:
                 for body in robot.bodies:
                     if body.link == other.link and other.body in (None, body.name):
@@ -252,51 +235,6 @@ def _keep_nearest(contacts: Sequence[HandContact], motion: FrameMotion, robot: R
     beyond = {name: measure_beyond_hull(motion.place[None], bodies[name].vertices) for name in names}
     nearest = min(beyond.values(), default=0.0)
     return tuple(contact for contact in contacts if beyond[contact.body] <= max(nearest, 0.0))
-
-
-def _find_cap(robot: RobotModel, hand: Hand, link: str) -> float:
-    """Return the largest force of a surface along its normal: of a finger its actuator's [N]."""
-    if link not in hand.fingers:
-        return HAND_CAP_N
-    joint = robot.model.joints[robot.model.frames[robot.model.getFrameId(link)].parentJoint]
-    effort = float(robot.effort[int(joint.idx_q)])
-    return effort if 0.0 < effort < np.inf else HAND_CAP_N
-
-
-def _find_surface(robot: RobotModel, hand: Hand, link: str) -> list[Surface]:
-    """Return a link's surface: the rod, the hand's front or a pad; empty for a link that is no part of the hand."""
-    if link == hand.hook:
-        bodies = [_to_frame(robot, body, hand.tool) for body in robot.bodies if body.link == hand.hook]
-        if not bodies:
-            return []
-        first = min(float(vertices[:, 2].min()) for vertices in bodies)
-        ends = np.array([[0.0, 0.0, first + hand.peg_radius], [0.0, 0.0, -hand.peg_radius]])
-        return [(hand.tool, "the rod", ends, hand.peg_radius)]
-    if link == hand.link or link in hand.fingers:
-        frame, words = (hand.tool, "the hand's front") if link == hand.link else (link, f"the pad of {link}")
-        bodies = [_to_frame(robot, body, frame) for body in robot.bodies if body.link == link]
-        if not bodies:
-            return []
-        foremost = max(bodies, key=lambda vertices: float(vertices[:, 2].max()))
-        return [(frame, words, *shrink_hull(foremost))]
-    return []
-
-
-def _list_link_surfaces(robot: RobotModel, link: str) -> Iterator[Surface]:
-    """Yield the surface of each body of a link."""
-    for body in robot.bodies:
-        if body.link == link:
-            yield link, f"the {link}", *shrink_hull(_to_frame(robot, body, link))
-
-
-def _to_frame(robot: RobotModel, body: LinkBody, frame: str) -> Float[np.ndarray, "V 3"]:
-    """Return the vertices of a body in a frame that the same joint carries [m]."""
-    placement = robot.model.frames[robot.model.getFrameId(frame)].placement
-    own = robot.model.frames[robot.model.getFrameId(body.link)]
-    here = robot.model.frames[robot.model.getFrameId(frame)]
-    if int(own.parentJoint) != int(here.parentJoint):
-        return np.zeros((0, 3))
-    return np.asarray((body.vertices - placement.translation) @ placement.rotation)
 
 
 def _place_hand(motion: FrameMotion, mechanism: Mechanism, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from costs.guide import Guide
 from service.demands.steps.phases import Led
 from service.errors import RequestError
-from service.request.tasks.steps import MoveStep, StepRequest, StepsSection
+from service.request.tasks.hand_steps import MoveStep
+from service.request.tasks.steps import StepRequest, StepsSection
 
 STRAIGHT_RAD = float(np.deg2rad(0.5))  # least turn of a way that is a corner
 SHARPEST_RAD = float(np.deg2rad(150.0))  # largest turn that is rounded: beyond it the arc has hardly a radius

@@ -40,8 +40,9 @@ from service.demands.steps.objects import Taking, list_grasp, list_release, make
 from service.demands.steps.phases import Led, PhaseMaker, StepPhase
 from service.demands.targets import make_pose_goal
 from service.errors import RequestError
+from service.request.tasks.hand_steps import MoveStep, ScrewStep, ShiftRequest, TouchStep
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
-from service.request.tasks.steps import BodyStep, MoveStep, ScrewStep, ShiftRequest, TouchStep
+from service.request.tasks.steps import BodyStep
 
 UPRIGHT_GROUP = "upright"
 CORNER = "corner"

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from service.request.tasks.steps import ENDING, MoveStep, StepRequest, StepsSection
+from service.request.tasks.hand_steps import MoveStep
+from service.request.tasks.steps import ENDING, StepRequest, StepsSection
 
 GUARDED = ("touch",)  # steps that end where something is felt: the plan ends after them
 

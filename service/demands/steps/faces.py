@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from costs.scene import ConvexPiece
 from service.demands.regions import find_axis
 from service.errors import RequestError
-from service.request.tasks.steps import FollowStep
+from service.request.tasks.hand_steps import FollowStep
 from service.verify import CoalSolid
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -21,8 +21,8 @@ from service.demands.steps.phases import Led, PhaseMaker, StepPhase
 from service.demands.targets import make_pose_goal
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
+from service.request.tasks.hand_steps import FollowStep
 from service.request.tasks.reach import GoalRequest
-from service.request.tasks.steps import FollowStep
 
 STEEPEST_DEG = float(np.rad2deg(np.arctan(HAND_FRICTION[0])))  # lean of a tool that is pressed onto a face
 OFF_FACE_M = 1e-4  # tolerance of where a line to a face begins

@@ -15,7 +15,7 @@ from costs.work_space import borrow_data
 from service.demands.hands import list_robot_hands
 from service.demands.regions import find_axis
 from service.errors import RequestError, would_do
-from service.request.tasks.steps import FollowStep, MoveStep, ScrewStep, TouchStep
+from service.request.tasks.hand_steps import FollowStep, MoveStep, ScrewStep, TouchStep
 from service.verify import HAND_DRIFT_M, WORLD, HandLoad
 
 Company = tuple[frozenset[str], ...]

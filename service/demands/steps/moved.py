@@ -16,6 +16,7 @@ from service.demands.phase import TaskPhase
 from service.demands.steps.extent import Extent
 from service.errors import RequestError
 from service.request.fields import find_repeated
+from service.request.tasks.hand_steps import PressStep
 from service.request.tasks.mechanism import (
     MECHANISM,
     MechanismHandleRequest,
@@ -23,7 +24,7 @@ from service.request.tasks.mechanism import (
     MechanismRequest,
     MoveRequest,
 )
-from service.request.tasks.steps import PressStep, StepRequest, StepsSection
+from service.request.tasks.steps import StepRequest, StepsSection
 
 BEYOND_M = 1e-3  # from the end of a press to the stop of the part
 FREE_M, LEAST_DEPTH_M = 2e-3, 1e-3  # behind a part that is pushed in; thickness of a part

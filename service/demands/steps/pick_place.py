@@ -12,10 +12,11 @@ from service.demands.steps.holding import Holding, choose_grippers
 from service.demands.task_demand import World
 from service.errors import RequestError
 from service.request.schema import PlanRequest
+from service.request.tasks.hand_steps import MoveStep, ShiftRequest
 from service.request.tasks.pick_place import PickRequest
 from service.request.tasks.reach import PoseGoalRequest
 from service.request.tasks.step_objects import GraspStep, ReleaseStep
-from service.request.tasks.steps import MoveStep, ShiftRequest, StepRequest, StepsSection
+from service.request.tasks.steps import StepRequest, StepsSection
 
 FIELD = "task.pick_place"
 GRASP, LIFT, CARRY, LOWER, RELEASE = "grasp", "lift", "carry", "lower", "release"

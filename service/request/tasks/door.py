@@ -134,6 +134,11 @@ class DoorRequest(TaskSection):
         return (DOOR if self.hinge == "auto" else f"door_{self.hinge}",)
 
     @property
+    def moved_by(self) -> Point | None:
+        """Displacement by which a person corrected where the scan shows it [m]."""
+        return self.moved_m
+
+    @property
     def near(self) -> Point | None:
         """A point near the door."""
         return self.hint

@@ -95,6 +95,11 @@ class TaskSection(Section):
         return None
 
     @property
+    def moved_by(self) -> Point | None:
+        """Displacement in world axes by which a person corrected where the scan shows what the task moves [m]."""
+        return None
+
+    @property
     def variant(self) -> str | None:
         """Name under which budgets and metrics count the request, if not under that of its kind."""
         return None

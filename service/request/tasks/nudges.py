@@ -14,7 +14,7 @@ from typing import Any
 
 from service.errors import RequestError, would_do
 from service.request.fields import Point
-from service.request.tasks.steps import FreeAxis, HandChoice, OtherHand
+from service.request.tasks.hand_steps import FreeAxis, HandChoice, OtherHand
 
 NUDGE_M, NUDGE_RAD = 0.01, 0.02
 # Direction by key, in the world.

@@ -79,6 +79,11 @@ class ValveRequest(TaskSection):
         return ("turnable",)
 
     @property
+    def moved_by(self) -> Point | None:
+        """Displacement by which a person corrected where the scan shows it [m]."""
+        return self.moved_m
+
+    @property
     def near(self) -> Point | None:
         """A point near the valve."""
         return self.hint

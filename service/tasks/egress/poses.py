@@ -22,6 +22,7 @@ from costs.static_region import StaticRegionError
 from costs.stopping import poll
 from costs.terms import AxisDirection, ContactForce, FramePose, FrictionPyramid, JointTarget, PointHalfSpace, Positive
 from scopt import Cost, Residual, Settings, Status
+from service.body.aims import Aims
 from service.body.comfort import RESERVE_M, keep_in_region, reserve_balance
 from service.body.effort import FORCE_SETTINGS
 from service.body.facing import FLAT_POINTS
@@ -29,7 +30,7 @@ from service.body.forces.equilibrium_pose import EquilibriumPose, ForceLimits, s
 from service.body.forces.loaded_regions import plan_contact_region
 from service.body.paths import straight_path
 from service.body.poses import PoseProblem, Poses
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.request.tasks.egress import SideRequest, WeightsRequest
 from service.tasks.egress.aims import ContactAim
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from service.body.aims import Aims
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.targets import make_goal_rotation
 from service.request.schema import PlanRequest
 from service.request.tasks.reach import GoalRequest

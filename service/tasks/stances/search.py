@@ -23,9 +23,10 @@ from costs.robot import RobotModel, with_mechanism
 from costs.scene import Scene
 from costs.stopping import Stopped, stops_when
 from scopt import Clock, EffortClock, Settings
+from service.body.aims import Aims
 from service.body.monitor import Interrupted, Monitor, OnProgress
 from service.body.phases import PhaseSolver
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.errors import RequestError
 from service.request.schema import PlanRequest
 from service.setup.checks import check_start, find_soles

@@ -18,7 +18,6 @@ from perception.detect.registry import detect_each
         ("scenes/valve_a/scan0.pcd", ("door", "seat", "opening")),
         ("scenes/car_ev/scan0.pcd", ("door",)),
         ("clouds/kinect_office_capture0001.pcd", ("panel", "lever")),
-        ("clouds/room_scan1.pcd", ("wheel",)),
         ("clouds/mit_octomap_scene1.csv", ("wheel",)),
         ("clouds/eth_car_cloud400.csv", ("wheel",)),
     ],

@@ -46,7 +46,6 @@ def list_angles(wheel: ValveDetection, n_spokes: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "seed", "variant", "n_spokes"),
     [
-        ("valve_small", 63, "camera", 3),
         ("valve_small", 63, "solid_sparse", 3),
         ("valve_near_wall", 64, "solid_sparse", 5),
         ("valve_plain", 61, "sparse", 4),
@@ -95,7 +94,6 @@ def test_points_lie_on_spokes_that_are_there_and_rays_pass_through_others(varian
     ("name", "handle", "variant"),
     [
         ("door_left_shut", "lever", "dense"),
-        ("door_left_pull", "pull handle", "sparse"),
         ("door_right_bar", "push bar", "sparse"),
     ],
 )

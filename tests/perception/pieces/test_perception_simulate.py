@@ -173,8 +173,11 @@ def test_a_scene_is_the_same_each_time_and_another_with_another_seed(name: str) 
     vertices = [join_meshes(scene.meshes).vertices for scene in (first, again, other)]
     assert np.array_equal(vertices[0], vertices[1])
     assert vertices[0].shape != vertices[2].shape or not np.array_equal(vertices[0], vertices[2])
-    sparse = [scene.scan("camera_sparse").points for scene in (first, again)]
-    assert np.array_equal(*sparse)
+
+
+@pytest.mark.parametrize("name", ["valve_plain", "door_left_ajar", "debris_one", "car_inside"])
+def test_a_scan_of_a_scene_is_the_same_each_time(name: str) -> None:
+    assert np.array_equal(*(scene.scan("camera_sparse").points for scene in (made(name, 0), make_scene(name, 0))))
 
 
 def expected_keys(kind: str, sizes: dict[str, float]) -> set[str]:

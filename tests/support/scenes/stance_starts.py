@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from costs.contact import Contact
 from costs.robot import BASE_NAMES, RobotModel
 from costs.scene import Scene
+from service.body.aims import Aims
 from service.body.forces.equilibrium_pose import ForceLimits, solve_equilibrium_pose
 from service.body.holds import project_onto_holds
-from service.body.whole_body import Aims, WholeBody
+from service.body.whole_body import WholeBody
 from service.demands.contacts.stances import StanceContact, make_contact_allowances
 
 
