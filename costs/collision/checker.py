@@ -1,4 +1,4 @@
-"""Search for the swept contacts of all waypoints at once: boxes in numpy, GJK/EPA in coal for near pairs."""
+"""Search for the swept contacts of all waypoints at once: boxes in numpy, then GJK, and coal for pairs that meet."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from costs.collision.shapes import make_convex, make_outer_convex, make_swept_co
 from costs.collision.slabs import find_slabs, find_slabs_of_sets
 from costs.collision.sweep import BodyVertices, find_extent, share_gradient
 from costs.kinematics import Kinematics
+from costs.native import APART, TOUCHING, HullSet, find_library
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from costs.stopping import poll
@@ -46,6 +47,8 @@ class SweptCollisionChecker:
         self._swept, self._points = [convex for convex, _ in swept], [points for _, points in swept]
         self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
         self._still = [make_outer_convex(body) for body in robot.bodies]
+        self._piece_hulls = HullSet.of([piece.vertices for piece in scene.pieces])
+        self._still_hulls = HullSet.of([body.outer for body in robot.bodies])
         self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
         self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
         self._slab_low, self._slab_high = find_slabs_of_sets([piece.vertices for piece in scene.pieces])
@@ -225,7 +228,43 @@ class SweptCollisionChecker:
         *,
         is_self: bool,
     ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
-        """Measure candidate pairs by GJK/EPA: keep those nearer than ``query``, with distance, normal and witness."""
+        """Measure candidate pairs: keep those nearer than ``query``, with distance, normal and witness."""
+        library, rows = find_library(), np.arange(len(interval))
+        if library is None:
+            return self._measure_by_coal(at_first, at_second, interval, body, other, query, rows, is_self=is_self)
+        n_bodies, width = at_first.shape[1:3]
+        distance, normal, witness, answer = (self._still_hulls if is_self else self._piece_hulls).measure_swept(
+            library,
+            np.ascontiguousarray(at_first).reshape(-1, width, 3),
+            np.ascontiguousarray(at_second).reshape(-1, width, 3),
+            interval if is_self else interval * n_bodies + body,
+            self._bodies.count[body],
+            other,
+            query,
+        )
+        is_kept = (answer == APART) & (distance < query)
+        # Only where hulls meet, the depth takes more than GJK.
+        meets = np.flatnonzero(answer == TOUCHING)
+        if len(meets):
+            found = self._measure_by_coal(at_first, at_second, interval, body, other, query, meets, is_self=is_self)
+            is_kept[found[0]] = True
+            distance[found[0]], normal[found[0]], witness[found[0]] = found[1], -found[2], found[3]
+        keep = np.flatnonzero(is_kept)
+        return keep, distance[keep], -normal[keep], witness[keep]
+
+    def _measure_by_coal(
+        self,
+        at_first: Float[np.ndarray, "I B V 3"],
+        at_second: Float[np.ndarray, "I B V 3"],
+        interval: Int[np.ndarray, "c"],
+        body: Int[np.ndarray, "c"],
+        other: Int[np.ndarray, "c"],
+        query: Float[np.ndarray, "c"],
+        rows: Int[np.ndarray, "r"],
+        *,
+        is_self: bool,
+    ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+        """Measure these rows by GJK/EPA of coal, one after the other."""
         keep: list[int] = []
         distances: list[float] = []
         normals: list[np.ndarray] = []
@@ -233,9 +272,8 @@ class SweptCollisionChecker:
         result, request, clear = self._result, self._request, self._result.clear
         counts = self._bodies.count.tolist()
         written, functors = (-1, -1), dict[int, coal.ComputeDistance]()
-        for row, (i, b, o, limit) in enumerate(
-            zip(interval.tolist(), body.tolist(), other.tolist(), query.tolist(), strict=True)
-        ):
+        columns = (column[rows].tolist() for column in (interval, body, other, query))
+        for row, i, b, o, limit in zip(rows.tolist(), *columns, strict=True):
             if written != (i, b):
                 column, count, points = 0 if is_self else b, counts[b], self._points[b]
                 points[:count] = at_first[i, column, :count]
