@@ -15,7 +15,7 @@ class BuildKernel(build_ext):
 
     def get_ext_filename(self, fullname: str) -> str:
         """Return the library's path: it has no tag of a Python version."""
-        return str(KERNEL["LIBRARY"])
+        return str(Path(*fullname.split(".")).with_suffix(".so"))
 
     def build_extension(self, ext: Extension) -> None:
         """Build it."""

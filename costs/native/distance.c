@@ -156,7 +156,8 @@ static void find_corner(const Hull *a, const Hull *b, const double v[3], Corner 
     subtract(corner->point, other, corner->difference);
 }
 
-Answer measure_hulls(const Hull *a, const Hull *b, double limit, double *distance, double normal[3], double nearest[3]) {
+Answer measure_hulls(const Hull *a, const Hull *b, double limit, int is_rough, double *distance, double normal[3],
+                     double nearest[3]) {
     Simplex simplex;
     double v[3], first[3], second[3], before = INFINITY, gap = INFINITY, length = 0.0;
     place(a, 0, first);
@@ -164,6 +165,7 @@ Answer measure_hulls(const Hull *a, const Hull *b, double limit, double *distanc
     subtract(first, second, v);
     if (!(dot(v, v) > 0.0)) v[0] = 1.0;
     simplex.count = 0;
+    *distance = 0.0;
     for (int round = 0; round < ROUNDS; round++) {
         Corner corner;
         find_corner(a, b, v, &corner);
@@ -183,6 +185,10 @@ Answer measure_hulls(const Hull *a, const Hull *b, double limit, double *distanc
         if (reduce(&simplex, v)) return TOUCHING;
         length = sqrt(dot(v, v));
         if (length < TOUCHES_M) return TOUCHING;
+        if (is_rough && length < limit) {
+            gap = 0.0;
+            break;
+        }
         if (!(length < before)) break;
         before = length;
     }

@@ -14,7 +14,7 @@ EXPORTED void scopt_measure_pairs(int64_t n, const double *points, const int64_t
         const Hull a = {points + 3 * first[m], first[m + 1] - first[m], rotation + 9 * row, translation + 3 * row};
         const Hull b = {points + 3 * first[h], first[h + 1] - first[h], 0, 0};
         double nearest[3];
-        touching[row] = measure_hulls(&a, &b, INFINITY, distance + row, direction + 3 * row, nearest) != APART;
+        touching[row] = measure_hulls(&a, &b, INFINITY, 0, distance + row, direction + 3 * row, nearest) != APART;
     }
 }
 
@@ -34,9 +34,80 @@ EXPORTED void scopt_measure_swept(int64_t n, int64_t width, const double *first,
         }
         const Hull a = {scratch, 2 * c, 0, 0};
         const Hull b = {points + 3 * start[o], start[o + 1] - start[o], 0, 0};
-        answer[row] = (uint8_t)measure_hulls(&a, &b, limit[row], distance + row, normal + 3 * row, nearest + 3 * row);
+        answer[row] = (uint8_t)measure_hulls(&a, &b, limit[row], 0, distance + row, normal + 3 * row, nearest + 3 * row);
     }
 }
 
 /* Digest of the sources that the library was built from: build.py. */
 EXPORTED const char *scopt_digest(void) { return SCOPT_DIGEST; }
+
+typedef struct {
+    double excess;
+    int64_t body, other;
+} Candidate;
+
+static void insert(Candidate *list, int64_t *n, double excess, int64_t body, int64_t other) {
+    int64_t k = (*n)++;
+    for (; k > 0 && list[k - 1].excess > excess; k--) list[k] = list[k - 1];
+    list[k] = (Candidate){excess, body, other};
+}
+
+/* Whether a pair of a robot at one pose is nearer than its margin; pairs of a margin of at most 0 are not checked.
+
+   placed: of each joint, stride doubles apart, the rotation column by column and the translation.  Bodies have spheres
+   (centre, radius), pieces boxes (low, high); margins are (bodies, pieces) and those of pairs (n_pairs, 2) of bodies.
+   scratch: 12 doubles for each body, candidates: space for all pairs.  Where a distance is not known the answer is yes. */
+EXPORTED int scopt_is_any_near(const double *placed, int64_t stride, int64_t n_bodies, const int64_t *joint,
+                               const double *points, const int64_t *first, const double *centre, const double *radius,
+                               int64_t n_pieces, const double *piece_points, const int64_t *piece_first,
+                               const double *low, const double *high, const double *margin, int64_t n_pairs,
+                               const int64_t *pair, const double *own, double *scratch, void *candidates) {
+    double *rotation = scratch, *translation = scratch + 9 * n_bodies, normal[3], nearest[3], distance;
+    Candidate *list = candidates;
+    int64_t n = 0;
+    for (int64_t b = 0; b < n_bodies; b++) {
+        const double *from = placed + stride * joint[b];
+        for (int i = 0; i < 3; i++) {
+            for (int j = 0; j < 3; j++) rotation[9 * b + 3 * i + j] = from[3 * j + i];
+            translation[3 * b + i] = from[9 + i];
+        }
+    }
+    double *middle = translation + 3 * n_bodies;
+    for (int64_t b = 0; b < n_bodies; b++)
+        for (int i = 0; i < 3; i++) {
+            const double *r = rotation + 9 * b + 3 * i, *c = centre + 3 * b;
+            middle[3 * b + i] = r[0] * c[0] + r[1] * c[1] + r[2] * c[2] + translation[3 * b + i];
+        }
+    for (int64_t b = 0; b < n_bodies; b++)
+        for (int64_t p = 0; p < n_pieces; p++) {
+            const double least = margin[b * n_pieces + p], reach = radius[b] + least;
+            if (!(least > 0.0)) continue;
+            double square = 0.0;
+            for (int k = 0; k < 3; k++) {
+                const double c = middle[3 * b + k], below = low[3 * p + k] - c, above = c - high[3 * p + k];
+                const double gap = below > above ? below : above;
+                square += gap > 0.0 ? gap * gap : 0.0;
+            }
+            if (!(square >= reach * reach)) insert(list, &n, sqrt(square) - reach, b, p);
+        }
+    for (int64_t k = 0; k < n_pairs; k++) {
+        const double *a = middle + 3 * pair[2 * k], *b = middle + 3 * pair[2 * k + 1];
+        const double x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2], square = x * x + y * y + z * z;
+        const double reach = radius[pair[2 * k]] + radius[pair[2 * k + 1]] + own[k];
+        if (own[k] > 0.0 && !(square >= reach * reach)) insert(list, &n, sqrt(square) - reach, -1, k);
+    }
+    for (int64_t k = 0; k < n; k++) {
+        const int is_own = list[k].body < 0;
+        const int64_t o = list[k].other, b = is_own ? pair[2 * o] : list[k].body, other = is_own ? pair[2 * o + 1] : o;
+        const Hull body = {points + 3 * first[b], first[b + 1] - first[b], rotation + 9 * b, translation + 3 * b};
+        Hull held = {piece_points + 3 * piece_first[other], 0, 0, 0};
+        if (is_own)
+            held = (Hull){points + 3 * first[other], first[other + 1] - first[other], rotation + 9 * other,
+                          translation + 3 * other};
+        else
+            held.count = piece_first[other + 1] - piece_first[other];
+        const double least = is_own ? own[o] : margin[b * n_pieces + o];
+        if (measure_hulls(&body, &held, least, 1, &distance, normal, nearest) != BEYOND && !(distance > least)) return 1;
+    }
+    return 0;
+}
