@@ -31,7 +31,7 @@ class HullSet:
     def of(hulls: Sequence[Float[np.ndarray, "V 3"]]) -> HullSet:
         """Return the set of these hulls, each of at least one point."""
         points = np.concatenate(hulls, dtype=float) if hulls else np.zeros((0, 3))
-        return HullSet(points, np.cumsum([0, *(len(hull) for hull in hulls)], dtype=np.int64))
+        return HullSet(np.ascontiguousarray(points), np.cumsum([0, *(len(hull) for hull in hulls)], dtype=np.int64))
 
     def measure_pairs(
         self,
@@ -51,10 +51,10 @@ class HullSet:
             len(mover),
             self.points,
             self.first,
-            mover,
-            holder,
-            rotation,
-            translation,
+            np.ascontiguousarray(mover),
+            np.ascontiguousarray(holder),
+            np.ascontiguousarray(rotation),
+            np.ascontiguousarray(translation),
             distance,
             direction,
             is_touching,

@@ -31,6 +31,14 @@ def find_library() -> ctypes.CDLL | None:
     return _load() if _IS_USED.get() else None
 
 
+def describe_missing() -> str:
+    """Return a line for users if the library cannot be called, else an empty text."""
+    if _load() is not None:
+        return ""
+    state = "is older than its sources" if (ROOT / LIBRARY).exists() else "was not built"
+    return f"{LIBRARY} {state}: plans are the same, and take a third longer; make setup builds it"
+
+
 @contextmanager
 def without_library() -> Iterator[None]:
     """Compute by numpy and coal in the body, as an installation without the library does."""

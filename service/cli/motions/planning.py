@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from costs.native import describe_missing
 from costs.threads import use_all_cores
 from service.cli.options import PlanningOptions
 from service.cli.report import TRIED_COLUMNS, list_files, list_tried, print_result, print_table, print_verdict
@@ -66,4 +67,6 @@ def plan_and_write(
         if planning.verbose:
             print_table(stdout, TRIED_COLUMNS, list_tried(result))
         print_result(stdout, summary, list_files(written, summary), is_verbose=planning.verbose)
+        if describe_missing():
+            stderr.print(describe_missing(), markup=False, soft_wrap=True)
     return str(result.verdict.value)
