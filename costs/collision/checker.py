@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -30,6 +31,20 @@ _IDENTITY = coal.Transform3s()
 MANY = 20  # pairs of an interval whose boxes meet, from which extents along other directions save more than they take
 
 
+class _CoalSpace:
+    """Objects and work space of coal, which few plans need where the library is built."""
+
+    def __init__(self, robot: RobotModel, scene: Scene) -> None:
+        swept = [make_swept_convex(body.outer) for body in robot.bodies]
+        self.swept, self.points = [convex for convex, _ in swept], [points for _, points in swept]
+        self.pieces = [make_convex(piece.vertices) for piece in scene.pieces]
+        self.still = [make_outer_convex(body) for body in robot.bodies]
+        self.functors: dict[tuple[bool, int], dict[int, coal.ComputeDistance]] = {}
+        self.request = coal.DistanceRequest()
+        self.request.enable_signed_distance = True
+        self.result = coal.DistanceResult()
+
+
 class SweptCollisionChecker:
     """Swept contacts of one robot in one scene.
 
@@ -43,20 +58,16 @@ class SweptCollisionChecker:
         """
         self.robot, self.scene, self.margins, self.buffer = robot, scene, margins, buffer
         self._bodies = BodyVertices.of(robot)
-        swept = [make_swept_convex(body.outer) for body in robot.bodies]
-        self._swept, self._points = [convex for convex, _ in swept], [points for _, points in swept]
-        self._pieces = [make_convex(piece.vertices) for piece in scene.pieces]
-        self._still = [make_outer_convex(body) for body in robot.bodies]
         self._piece_hulls = HullSet.of([piece.vertices for piece in scene.pieces])
         self._still_hulls = HullSet.of([body.outer for body in robot.bodies])
         self._lower = np.array([piece.lower for piece in scene.pieces]).reshape(-1, 3)
         self._upper = np.array([piece.upper for piece in scene.pieces]).reshape(-1, 3)
         self._slab_low, self._slab_high = find_slabs_of_sets([piece.vertices for piece in scene.pieces])
-        self._functors: dict[tuple[bool, int], dict[int, coal.ComputeDistance]] = {}
-        self._request = coal.DistanceRequest()
-        self._request.enable_signed_distance = True
-        self._result = coal.DistanceResult()
         self._pairs = np.array([self._order_pair(a, b) for a, b in margins.self_pairs], dtype=int).reshape(-1, 2)
+
+    @cached_property
+    def _coal(self) -> _CoalSpace:
+        return _CoalSpace(self.robot, self.scene)
 
     def with_margins(self, margins: PairMargins) -> SweptCollisionChecker:
         """Return a checker of the same pairs with other margins, which shares this one's work space."""
@@ -98,7 +109,7 @@ class SweptCollisionChecker:
     def _find_world_contacts(
         self, world: Float[np.ndarray, "T B V 3"], first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]
     ) -> Contacts:
-        if not self._pieces:
+        if not self.scene.pieces:
             return Contacts.none()
         at_first, at_second = world[: len(first)], world[-len(second) :]
         interval, body, piece = self._find_near_pieces(world, first, second)
@@ -265,24 +276,25 @@ class SweptCollisionChecker:
         is_self: bool,
     ) -> tuple[Int[np.ndarray, "m"], Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
         """Measure these rows by GJK/EPA of coal, one after the other."""
+        space = self._coal
         keep: list[int] = []
         distances: list[float] = []
         normals: list[np.ndarray] = []
         witnesses: list[np.ndarray] = []
-        result, request, clear = self._result, self._request, self._result.clear
+        request, result, clear = space.request, space.result, space.result.clear
         counts = self._bodies.count.tolist()
         written, functors = (-1, -1), dict[int, coal.ComputeDistance]()
         columns = (column[rows].tolist() for column in (interval, body, other, query))
         for row, i, b, o, limit in zip(rows.tolist(), *columns, strict=True):
             if written != (i, b):
-                column, count, points = 0 if is_self else b, counts[b], self._points[b]
+                column, count, points = 0 if is_self else b, counts[b], space.points[b]
                 points[:count] = at_first[i, column, :count]
                 points[count:] = at_second[i, column, :count]
-                written, functors = (i, b), self._functors.setdefault((is_self, b), {})
+                written, functors = (i, b), space.functors.setdefault((is_self, b), {})
             measure = functors.get(o)
             if measure is None:
-                target = self._still[o] if is_self else self._pieces[o]
-                measure = functors[o] = coal.ComputeDistance(self._swept[b], target)
+                target = space.still[o] if is_self else space.pieces[o]
+                measure = functors[o] = coal.ComputeDistance(space.swept[b], target)
             clear()
             distance = measure(_IDENTITY, _IDENTITY, request, result)
             if distance < -_ABSURD:

@@ -7,6 +7,7 @@ that one serves all its versions, and is built by the system's compiler or by th
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import shutil
 import subprocess
@@ -41,7 +42,7 @@ def has_compiler() -> bool:
 def build(target: Path, root: Path = ROOT) -> str:
     """Write the library to ``target``; return why there is none, or an empty text."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    made = target.with_suffix(".part")  # a process that has the old one loaded keeps it
+    made = target.with_suffix(f".{os.getpid()}.part")  # a process that has the old one loaded keeps it
     reason = "there is no C compiler, and the package ziglang is not installed"
     for command in (*_list_system_compilers(), *_list_zig()):
         reason = _run(command, [root / name for name in SOURCES], made, (f'-DSCOPT_DIGEST="{find_digest(root)}"',))

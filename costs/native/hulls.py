@@ -99,3 +99,35 @@ class HullSet:
             answer,
         )
         return distance, normal, nearest, answer
+
+
+def share_swept_gradient(
+    library: ctypes.CDLL,
+    at_first: Float[np.ndarray, "m V 3"],
+    at_second: Float[np.ndarray, "m V 3"],
+    normal: Float[np.ndarray, "m 3"],
+    witness: Float[np.ndarray, "m 3"],
+    band: float,
+) -> tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m 3"], Float[np.ndarray, "m 3"]]:
+    """Return the weight of the second pose of swept hulls in their gradients and the witness at both poses [m].
+
+    Args:
+        normal, witness: of each swept hull, towards it and on it.
+        band: vertices within this of the support plane are averaged [m].
+    """
+    n, width = at_first.shape[:2]
+    share, point_first, point_second = np.empty(n), np.empty((n, 3)), np.empty((n, 3))
+    call(
+        library.scopt_share_gradient,
+        n,
+        width,
+        np.ascontiguousarray(at_first),
+        np.ascontiguousarray(at_second),
+        np.ascontiguousarray(normal),
+        np.ascontiguousarray(witness),
+        band,
+        share,
+        point_first,
+        point_second,
+    )
+    return share, point_first, point_second

@@ -111,3 +111,46 @@ EXPORTED int scopt_is_any_near(const double *placed, int64_t stride, int64_t n_b
     }
     return 0;
 }
+
+/* Vertices (n, 3) that reach the lowest height along a direction, within a band: their height and mean. */
+static double find_lowest(const double *points, int64_t n, const double *direction, double band, double mean[3]) {
+    const double back[3] = {-direction[0], -direction[1], -direction[2]};
+    int64_t which, count = 0;
+    const double lowest = -find_support(points, n, back, &which);
+    mean[0] = mean[1] = mean[2] = 0.0;
+    for (int64_t k = 0; k < n; k++) {
+        const double *p = points + 3 * k;
+        if (!(direction[0] * p[0] + direction[1] * p[1] + direction[2] * p[2] < lowest + band)) continue;
+        for (int x = 0; x < 3; x++) mean[x] += p[x];
+        count++;
+    }
+    for (int x = 0; x < 3; x++) mean[x] /= (double)count;
+    return lowest;
+}
+
+/* Weight of the second pose in the gradient of swept hulls, and the witness at both poses: share_gradient in sweep.py.
+
+   first and second are (n, width, 3). */
+EXPORTED void scopt_share_gradient(int64_t n, int64_t width, const double *first, const double *second,
+                                   const double *normal, const double *witness, double band, double *share,
+                                   double *at_first, double *at_second) {
+    for (int64_t row = 0; row < n; row++) {
+        const double *w = witness + 3 * row, *ends[2] = {first, second};
+        double low[2], far[2], *points[2] = {at_first + 3 * row, at_second + 3 * row};
+        for (int k = 0; k < 2; k++) {
+            low[k] = find_lowest(ends[k] + 3 * width * row, width, normal + 3 * row, band, points[k]);
+            const double x = w[0] - points[k][0], y = w[1] - points[k][1], z = w[2] - points[k][2];
+            far[k] = sqrt(x * x + y * y + z * z);
+        }
+        const double total = far[0] + far[1], apart = 10.0 * band;
+        double s = total < band ? 0.5 : far[0] / total;
+        if (low[1] - low[0] > apart) s = 0.0;
+        else if (low[0] - low[1] > apart) s = 1.0;
+        share[row] = s;
+        for (int x = 0; x < 3; x++) {
+            const double offset = w[x] - (1.0 - s) * points[0][x] - s * points[1][x];
+            points[0][x] += offset;
+            points[1][x] += offset;
+        }
+    }
+}

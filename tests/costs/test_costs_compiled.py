@@ -10,6 +10,7 @@ from compiled_oracle import compare_with_coal
 from swept_scenes import checker_of, keys, random_motion, random_scene
 from tiny_robots import SPATIAL, atlas, chain
 
+from costs.collision.sweep import share_gradient
 from costs.kinematics import KinematicsEngine
 from costs.native import build, call, find_library, library, without_library
 
@@ -44,6 +45,16 @@ def test_swept_contacts_are_the_same_without_the_library(make):
         for key in ours.keys() & theirs.keys():
             depths.append(plain.distance[theirs[key]])
             assert compiled.distance[ours[key]] == pytest.approx(depths[-1], abs=2e-6)
+        with without_library():
+            poses = [rng.normal(size=(40, 9, 3)) for _ in range(2)]
+            towards = rng.normal(size=(40, 3))
+            poses[1][:10], towards[:20, :2] = poses[0][:10], 0.0
+            towards /= np.linalg.norm(towards, axis=1)[:, None]
+            poses[0][5:15, :4, 2] = -2.0  # several vertices support
+            given = (*poses, towards, rng.normal(size=(40, 3)))
+            shares = share_gradient(*given)
+        for made, wanted in zip(share_gradient(*given), shares, strict=True):
+            assert made == pytest.approx(wanted, abs=1e-12)
     assert min(depths) < 0.0 < max(depths)
 
 
