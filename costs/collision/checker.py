@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import ctypes
 from functools import cached_property
 
 import coal
@@ -15,7 +16,7 @@ from costs.collision.shapes import make_convex, make_outer_convex, make_swept_co
 from costs.collision.slabs import find_slabs, find_slabs_of_sets
 from costs.collision.sweep import BodyVertices, find_extent, share_gradient
 from costs.kinematics import Kinematics
-from costs.native import APART, TOUCHING, HullSet, find_library
+from costs.native import APART, TOUCHING, HullSet, call, find_library
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 from costs.stopping import poll
@@ -28,6 +29,7 @@ _NUDGES = [
     for way in ((0.61, -0.48, 0.63), (-0.43, 0.71, -0.56), (0.37, 0.52, -0.77), (-0.8, -0.3, 0.52))
 ]
 _IDENTITY = coal.Transform3s()
+_MOST_WRITTEN = 2**25  # numbers of vertices for which the library is given space, of which it writes few
 MANY = 20  # pairs of an interval whose boxes meet, from which extents along other directions save more than they take
 
 
@@ -163,21 +165,8 @@ class SweptCollisionChecker:
         first: Int[np.ndarray, "I"],
         second: Int[np.ndarray, "I"],
     ) -> Contacts:
-        poll()
-        interval, pair = self._find_near_pairs(kinematics, first, second)
+        interval, pair, at_first, at_second = self._sweep_pairs(kinematics, world, first, second)
         still, moving = self._pairs[pair].T
-        joint = self._bodies.joint[still]
-        ends = []
-        for waypoint in (first[interval], second[interval]):
-            rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
-            ends.append(np.matmul(world[waypoint, moving] - position[:, None], rotation))
-        reach = (self.margins.own[pair] + self.buffer)[:, None]
-        (low_first, high_first), (low_second, high_second) = find_extent(ends[0]), find_extent(ends[1])
-        low, high = np.minimum(low_first, low_second) - reach, np.maximum(high_first, high_second) + reach
-        near = np.all((low <= self._bodies.upper[still]) & (self._bodies.lower[still] <= high), axis=1)
-        interval, pair, still, moving, joint = interval[near], pair[near], still[near], moving[near], joint[near]
-        at_first, at_second = ends[0][near], ends[1][near]
-
         rows = np.arange(len(pair))
         keep, distance, normal, witness = self._measure(
             at_first[:, None],
@@ -188,7 +177,8 @@ class SweptCollisionChecker:
             self.margins.own[pair] + self.buffer,
             is_self=True,
         )
-        interval, pair, still, moving, joint = interval[keep], pair[keep], still[keep], moving[keep], joint[keep]
+        interval, pair, still, moving = interval[keep], pair[keep], still[keep], moving[keep]
+        joint = self._bodies.joint[still]
         share, *local_points = share_gradient(at_first[keep], at_second[keep], normal, witness)
         normals, points = [], []
         for waypoint, local_point in zip((first[interval], second[interval]), local_points, strict=True):
@@ -207,6 +197,68 @@ class SweptCollisionChecker:
             normal=np.stack(normals, axis=1),
             point=np.stack(points, axis=1),
         )
+
+    def _sweep_pairs(
+        self,
+        kinematics: Kinematics,
+        world: Float[np.ndarray, "T B V 3"],
+        first: Int[np.ndarray, "I"],
+        second: Int[np.ndarray, "I"],
+    ) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"], Float[np.ndarray, "c V 3"], Float[np.ndarray, "c V 3"]]:
+        """Find intervals and self pairs near each other, and the mover's vertices in the other's frame at both ends."""
+        poll()
+        library = find_library()
+        if library is not None and len(first) * len(self._pairs) * 3 * world.shape[2] <= _MOST_WRITTEN:
+            return self._sweep_pairs_compiled(library, kinematics, world, first, second)
+        interval, pair = self._find_near_pairs(kinematics, first, second)
+        still, moving = self._pairs[pair].T
+        joint = self._bodies.joint[still]
+        ends = []
+        for waypoint in (first[interval], second[interval]):
+            rotation, position = kinematics.rotation[waypoint, joint], kinematics.position[waypoint, joint]
+            ends.append(np.matmul(world[waypoint, moving] - position[:, None], rotation))
+        reach = (self.margins.own[pair] + self.buffer)[:, None]
+        (low_first, high_first), (low_second, high_second) = find_extent(ends[0]), find_extent(ends[1])
+        low, high = np.minimum(low_first, low_second) - reach, np.maximum(high_first, high_second) + reach
+        near = np.all((low <= self._bodies.upper[still]) & (self._bodies.lower[still] <= high), axis=1)
+        return interval[near], pair[near], ends[0][near], ends[1][near]
+
+    def _sweep_pairs_compiled(
+        self,
+        library: ctypes.CDLL,
+        kinematics: Kinematics,
+        world: Float[np.ndarray, "T B V 3"],
+        first: Int[np.ndarray, "I"],
+        second: Int[np.ndarray, "I"],
+    ) -> tuple[Int[np.ndarray, "c"], Int[np.ndarray, "c"], Float[np.ndarray, "c V 3"], Float[np.ndarray, "c V 3"]]:
+        bodies, most = self._bodies, len(first) * len(self._pairs)
+        interval, pair = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
+        # Memory that is not written is not taken.
+        at_first, at_second = np.empty((most, *world.shape[2:])), np.empty((most, *world.shape[2:]))
+        found = call(
+            library.scopt_sweep_pairs,
+            len(first),
+            np.ascontiguousarray(first),
+            np.ascontiguousarray(second),
+            kinematics.rotation.shape[1],
+            np.ascontiguousarray(kinematics.rotation),
+            np.ascontiguousarray(kinematics.position),
+            *world.shape[1:3],
+            np.ascontiguousarray(world),
+            np.ascontiguousarray(bodies.joint),
+            np.ascontiguousarray(bodies.lower),
+            np.ascontiguousarray(bodies.upper),
+            np.ascontiguousarray(bodies.centre),
+            np.ascontiguousarray(bodies.radius),
+            len(self._pairs),
+            np.ascontiguousarray(self._pairs),
+            np.ascontiguousarray(self.margins.own + self.buffer),
+            interval,
+            pair,
+            at_first,
+            at_second,
+        )
+        return interval[:found], pair[:found], at_first[:found], at_second[:found]
 
     def _find_near_pairs(
         self, kinematics: Kinematics, first: Int[np.ndarray, "I"], second: Int[np.ndarray, "I"]

@@ -52,13 +52,16 @@ def without_library() -> Iterator[None]:
 Argument = np.ndarray | int | float | ctypes.c_void_p
 
 
-def call(function: ctypes._NamedFuncPointer, *arguments: Argument) -> None:
+def call(function: ctypes._NamedFuncPointer, *arguments: Argument) -> int:
     """Call a function of the library with arrays, as the addresses of their numbers, with whole and with real numbers.
+
+    Returns:
+        what it returns; of functions that return nothing, any number.
 
     Raises:
         TypeError: the numbers of an array are of a kind that the library does not read, or not one after the other.
     """
-    function(*map(_to_c, arguments))
+    return int(function(*map(_to_c, arguments)))
 
 
 def bind(function: ctypes._NamedFuncPointer, *arguments: Argument) -> Callable[[], int]:

@@ -154,3 +154,62 @@ EXPORTED void scopt_share_gradient(int64_t n, int64_t width, const double *first
         }
     }
 }
+
+/* Intervals and pairs of bodies in which the mover, swept in the other's frame, comes near that one's box.
+
+   first, second (n): waypoints of each interval.  rotation, position: of all joints at all waypoints.  world (., bodies,
+   width, 3): vertices.  Bodies have a joint, a box (low, high) and a sphere (centre, radius) in its frame.  pair
+   (n_pairs, 2): the one that is still, and the mover; reach: how near is near.  Returns how many there are; interval,
+   number and the mover's vertices at both waypoints, in the other's frame, are written row by row. */
+EXPORTED int64_t scopt_sweep_pairs(int64_t n, const int64_t *first, const int64_t *second, int64_t joints,
+                                   const double *rotation, const double *position, int64_t bodies, int64_t width,
+                                   const double *world, const int64_t *joint, const double *low, const double *high,
+                                   const double *centre, const double *radius, int64_t n_pairs, const int64_t *pair,
+                                   const double *reach, int64_t *interval, int64_t *number, double *at_first,
+                                   double *at_second) {
+    int64_t found = 0;
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t k = 0; k < n_pairs; k++) {
+            const int64_t still = pair[2 * k], moving = pair[2 * k + 1], poses[2] = {first[i], second[i]};
+            const double *frame[2], *origin[2], *box[2] = {low + 3 * still, high + 3 * still};
+            double at[2][3], square = 0.0;
+            for (int end = 0; end < 2; end++) {
+                const int64_t held = poses[end] * joints + joint[still], moved = poses[end] * joints + joint[moving];
+                const double *R = rotation + 9 * moved, *t = position + 3 * moved, *c = centre + 3 * moving;
+                double away[3];
+                frame[end] = rotation + 9 * held;
+                origin[end] = position + 3 * held;
+                for (int x = 0; x < 3; x++)
+                    away[x] = R[3 * x] * c[0] + R[3 * x + 1] * c[1] + R[3 * x + 2] * c[2] + t[x] - origin[end][x];
+                for (int x = 0; x < 3; x++)
+                    at[end][x] = frame[end][x] * away[0] + frame[end][3 + x] * away[1] + frame[end][6 + x] * away[2];
+            }
+            for (int x = 0; x < 3; x++) {
+                const double least = at[0][x] < at[1][x] ? at[0][x] : at[1][x], most = at[0][x] + at[1][x] - least;
+                const double above = least - box[1][x], below = box[0][x] - most, gap = above > below ? above : below;
+                square += gap > 0.0 ? gap * gap : 0.0;
+            }
+            const double within = radius[moving] + reach[k] > 0.0 ? radius[moving] + reach[k] : 0.0;
+            if (square > within * within * (1.0 + 1e-12)) continue;
+            double least[3] = {INFINITY, INFINITY, INFINITY}, most[3] = {-INFINITY, -INFINITY, -INFINITY};
+            for (int end = 0; end < 2; end++) {
+                const double *from = world + 3 * width * (poses[end] * bodies + moving), *R = frame[end];
+                double *to = (end ? at_second : at_first) + 3 * width * found;
+                for (int64_t v = 0; v < width; v++, from += 3, to += 3) {
+                    const double x = from[0] - origin[end][0], y = from[1] - origin[end][1], z = from[2] - origin[end][2];
+                    for (int axis = 0; axis < 3; axis++) {
+                        const double value = x * R[axis] + y * R[3 + axis] + z * R[6 + axis];
+                        to[axis] = value;
+                        if (value < least[axis]) least[axis] = value;
+                        if (value > most[axis]) most[axis] = value;
+                    }
+                }
+            }
+            int is_near = 1;
+            for (int x = 0; x < 3; x++) is_near &= least[x] - reach[k] <= box[1][x] && box[0][x] <= most[x] + reach[k];
+            if (!is_near) continue;
+            interval[found] = i;
+            number[found++] = k;
+        }
+    return found;
+}
