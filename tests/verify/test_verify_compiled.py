@@ -15,7 +15,7 @@ from service.verify.clearance.pair_poses import PairPoses
 from service.verify.clearance.pairs import PairIntervals, PairTable, collect_pairs
 from service.verify.prepared_motion import PreparedMotion
 
-pytestmark = pytest.mark.skipif(find_library() is None, reason="the library is not built: costs/native/build.py")
+pytestmark = pytest.mark.skipif(find_library() is None, reason="the library is not built: python costs/native/build.py")
 SEEDS = st.integers(0, 2**32 - 1)
 
 
