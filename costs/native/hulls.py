@@ -29,7 +29,13 @@ class HullSet:
 
     @staticmethod
     def of(hulls: Sequence[Float[np.ndarray, "V 3"]]) -> HullSet:
-        """Return the set of these hulls, each of at least one point."""
+        """Return the set of these hulls.
+
+        Raises:
+            ValueError: one has no point.
+        """
+        if not all(map(len, hulls)):
+            raise ValueError("a hull has at least one point")
         points = np.concatenate(hulls, dtype=float) if hulls else np.zeros((0, 3))
         return HullSet(np.ascontiguousarray(points), np.cumsum([0, *(len(hull) for hull in hulls)], dtype=np.int64))
 

@@ -26,6 +26,7 @@ from service.verify.solids import DistanceQuery, supports
 ROUNDING_M = 1e-9
 
 FIRST, LAST, MIDDLE = 0, 1, 2
+_MEASURED = 512  # distances between two polls: a millisecond, ten of hulls of thousands of vertices
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,12 @@ class PairPoses:
         is_left = np.ones(len(rows), dtype=bool)
         distance, direction = np.empty(len(rows)), np.empty((len(rows), 3))
         if library is not None:
-            distance, direction, is_left = self.table.hulls.measure_pairs(library, mover, holder, rotation, translation)
+            for low in range(0, len(rows), _MEASURED):
+                poll()
+                some = slice(low, low + _MEASURED)
+                distance[some], direction[some], is_left[some] = self.table.hulls.measure_pairs(
+                    library, mover[some], holder[some], rotation[some], translation[some]
+                )
         if np.any(is_left):
             distance[is_left], direction[is_left] = query.closest(
                 [solids[k].convex for k in mover[is_left].tolist()],
