@@ -31,7 +31,7 @@ def _draw(seed: int) -> tuple[PreparedMotion, PairTable, PairIntervals]:
     return prepared, table.with_chains(prepared.tree, np.unique(start.pair)), start
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(SEEDS)
 def test_poses_bounds_and_separations_are_the_same(seed: int) -> None:
     prepared, table, start = _draw(seed)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from costs.native import describe_missing
 from costs.threads import use_all_cores
 from service.cli.options import PlanningOptions
 from service.cli.report import TRIED_COLUMNS, list_files, list_tried, print_result, print_table, print_verdict
@@ -37,6 +36,7 @@ def plan_and_write(
     with progress(stderr, "read request", is_quiet=planning.quiet) as report, cancellable(stderr) as should_stop:
         report("read request", 0.0)
         plan_request, around = read()
+        from costs.native import describe_missing
         from service.planner import plan
         from service.request.file import replace_options
         from service.result.folder import RESULT_NAME, check_folder
