@@ -36,7 +36,7 @@ def describe_missing() -> str:
     if _load() is not None:
         return ""
     state = "is older than its sources" if (ROOT / LIBRARY).exists() else "was not built"
-    return f"{LIBRARY} {state}: plans are the same, and take a third longer; make setup builds it"
+    return f"{LIBRARY} {state}: plans are the same, and take up to half as long again; make setup builds it"
 
 
 @contextmanager
