@@ -1,7 +1,8 @@
 # A planning server: docker build -t scopt . ; deploy/README.md says how it is started.
 FROM python:3.12-slim-bookworm AS build
 WORKDIR /src
-COPY pyproject.toml constraints.txt README.md LICENSE ./
+COPY pyproject.toml setup.py constraints.txt README.md LICENSE ./
+COPY tools/backend.py tools/backend.py
 COPY scopt scopt
 COPY costs costs
 COPY perception perception

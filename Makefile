@@ -45,7 +45,7 @@ help:
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt tools/setup.sh
+$(READY): pyproject.toml setup.py constraints.txt tools/setup.sh tools/backend.py
 	@tools/setup.sh $(VENV)
 	@touch $@
 

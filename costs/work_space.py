@@ -43,12 +43,17 @@ def borrow_work_space(model: pin.Model) -> WorkSpace:
     kept = _KEPT.of_model
     known = kept.pop(id(model), None)
     if known is None:
-        data = model.createData()
-        known = WorkSpace(model, data, _view_placements(data, model.njoints))
+        known = make_work_space(model)
         if len(kept) == MOST_KEPT:
             kept.pop(next(iter(kept)))
     kept[id(model)] = known  # the last one used is the last one dropped
     return known
+
+
+def make_work_space(model: pin.Model) -> WorkSpace:
+    """Make a work space that nobody else overwrites."""
+    data = model.createData()
+    return WorkSpace(model, data, _view_placements(data, model.njoints))
 
 
 def borrow_data(model: pin.Model) -> pin.Data:

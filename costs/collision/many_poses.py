@@ -7,10 +7,12 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
+from costs.collision.compiled_poses import CompiledPosesChecker
 from costs.collision.pairs import PairMargins
 from costs.collision.poses import PoseChecker
 from costs.collision.shapes import make_convex, make_outer_convex
 from costs.kinematics import KinematicsEngine
+from costs.native import find_library
 from costs.robot.model import RobotModel
 from costs.scene import Scene
 
@@ -42,12 +44,15 @@ class ManyPosesChecker:
         return not any(collide(self._model, self._data, self._manager, pose, True) for pose in q)
 
 
-SearchChecker = PoseChecker | ManyPosesChecker
-"""Either checker of single poses."""
+SearchChecker = PoseChecker | ManyPosesChecker | CompiledPosesChecker
+"""Any checker of single poses."""
 
 
 def make_search_checker(engine: KinematicsEngine, scene: Scene, margins: PairMargins) -> SearchChecker:
-    """Return the faster checker for a search: that of many poses unless there are too many pairs."""
+    """Return the fastest checker for a search: that of the library, of many poses unless there are too many pairs."""
+    library = find_library()
+    if library is not None:
+        return CompiledPosesChecker(library, engine.robot, scene, margins)
     if count_checked(margins) > _MOST_PAIRS:
         return PoseChecker(engine, scene, margins)
     return ManyPosesChecker(engine.robot, scene, margins)

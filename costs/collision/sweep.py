@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from costs.kinematics import Kinematics
+from costs.native import find_library, share_swept_gradient
 from costs.robot.model import LinkBody, RobotModel
 from costs.stopping import poll
 
@@ -95,6 +96,9 @@ def share_gradient(
         normal: towards the body.
         witness: nearest point of the swept hull.
     """
+    library = find_library()
+    if library is not None:
+        return share_swept_gradient(library, at_first, at_second, normal, witness, SUPPORT_BAND)
     low_first, point_first = _support(at_first, normal)
     low_second, point_second = _support(at_second, normal)
     to_first = np.linalg.norm(witness - point_first, axis=1)

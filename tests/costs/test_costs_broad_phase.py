@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from swept_scenes import body_in_body, body_in_world, checker_of, keys, random_motion, random_scene, state_of
 from tiny_robots import PLANAR, SPATIAL, atlas, chain
 
-from costs.collision import ManyPosesChecker, PoseChecker, count_checked
+from costs.collision import ManyPosesChecker, PoseChecker, count_checked, make_search_checker
 from costs.kinematics import KinematicsEngine
 from costs.scene import ConvexPiece, Scene
 
@@ -136,6 +136,7 @@ def test_poses_are_clear_exactly_where_no_pair_is_nearer_than_its_margin(name):
         for poses in (
             PoseChecker(engine, checker.scene, checker.margins),
             ManyPosesChecker(robot, checker.scene, checker.margins),
+            make_search_checker(engine, checker.scene, checker.margins),
         ):
             assert [poses.are_clear(row[None]) for row in q] == clear
             assert poses.are_clear(q) == all(clear)
@@ -157,5 +158,6 @@ def test_pairs_that_may_touch_do_not_count_as_near():
     for poses in (
         PoseChecker(engine, checker.scene, touching),
         ManyPosesChecker(robot, checker.scene, touching),
+        make_search_checker(engine, checker.scene, touching),
     ):
         assert poses.are_clear(q)

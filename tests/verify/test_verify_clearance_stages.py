@@ -11,7 +11,7 @@ import pytest
 from hull_reference import hull_distance
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_robots import CUBE, box, random_curve, random_model, robot_of
+from small_robots import CUBE, box, random_crowd, robot_of
 
 from costs.curve import Curve
 from costs.robot import LinkBody
@@ -25,20 +25,6 @@ from service.verify.joint_chain import JointChain
 from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def _crowd(seed: int) -> Motion:
-    """A branched random robot among boxes."""
-    rng = np.random.default_rng(seed)
-    is_floating = bool(rng.integers(0, 2))
-    model = random_model(rng, int(rng.integers(2, 5)), is_floating=is_floating, branches=True)
-    bodies = []
-    for joint in range(model.njoints):
-        vertices = rng.uniform(-0.15, 0.15, size=(int(rng.integers(4, 12)), 3))
-        bodies.append(LinkBody(f"link{joint}", f"link{joint}", joint, vertices, vertices))
-    robot = robot_of(model, bodies, is_floating=is_floating)
-    pieces = tuple(box(f"piece{k}", tuple(rng.uniform(-1, 1, 3)), tuple(rng.uniform(0.01, 0.2, 3))) for k in range(3))
-    return Motion(robot, Scene(pieces), random_curve(rng, model.nq, 3, spread=0.3))
 
 
 def _prepare(motion: Motion) -> tuple[PreparedMotion, PairTable, np.ndarray, np.ndarray]:
@@ -60,7 +46,7 @@ def _distance(motion: Motion, table: PairTable, pair: int, s: float) -> float:
 @settings(max_examples=30)
 @given(SEEDS)
 def test_pairs_left_out_follow_the_checked_ones_as_a_robot_has_them_that_checks_no_others(seed: int) -> None:
-    motion = _crowd(seed)
+    motion = random_crowd(seed)
     prepared, table, _, _ = _prepare(motion)
     every = list(combinations(sorted({body.link for body in motion.robot.bodies}), 2))
     rng = np.random.default_rng(seed)
@@ -83,7 +69,7 @@ def test_pairs_left_out_follow_the_checked_ones_as_a_robot_has_them_that_checks_
 @settings(max_examples=20)
 @given(SEEDS)
 def test_what_is_known_of_checked_pairs_does_not_depend_on_the_pairs_left_out(seed: int) -> None:
-    motion = _crowd(seed)
+    motion = random_crowd(seed)
     prepared, table, _, _ = _prepare(motion)
     every = list(combinations(sorted({body.link for body in motion.robot.bodies}), 2))
     of_pieces = replace(motion, robot=replace(motion.robot, ignored_pairs=frozenset(every)))
@@ -112,7 +98,7 @@ def _is_of_links(table: PairTable, pair: int) -> bool:
 @settings(max_examples=40)
 @given(SEEDS)
 def test_floors_are_below_the_distance_at_every_pose(seed: int) -> None:
-    motion = _crowd(seed)
+    motion = random_crowd(seed)
     prepared, table, edges, _ = _prepare(motion)
     floors = bound_clearances(prepared, table, edges, VerifySettings())
     rng = np.random.default_rng(seed)
@@ -143,7 +129,7 @@ def test_floors_of_two_links_count_the_arcs_of_both(is_swapped: bool) -> None:
 @settings(max_examples=40)
 @given(SEEDS)
 def test_every_pair_has_the_chain_of_its_mover_in_the_frame_of_its_holder(seed: int) -> None:
-    motion = _crowd(seed)
+    motion = random_crowd(seed)
     prepared, table, _, _ = _prepare(motion)
     near = np.flatnonzero(np.random.default_rng(seed).random(len(table.mover)) < 0.7)
     found = table.with_chains(prepared.tree, near)
@@ -172,7 +158,7 @@ def test_floors_of_what_stands_still_far_away_are_nearly_the_distance() -> None:
 @settings(max_examples=40)
 @given(SEEDS)
 def test_a_look_separates_no_more_than_the_poses_between_and_its_bound_allow(seed: int) -> None:
-    motion, rng = _crowd(seed), np.random.default_rng(seed)
+    motion, rng = random_crowd(seed), np.random.default_rng(seed)
     prepared, table, edges, phase = _prepare(motion)
     floors = np.full((len(edges) - 1, len(table.mover)), -np.inf)
     start = find_open_intervals(table, edges, phase, floors, 0.1)
@@ -188,7 +174,7 @@ def test_a_look_separates_no_more_than_the_poses_between_and_its_bound_allow(see
 
 
 def test_a_direction_that_is_not_finite_separates_nothing() -> None:
-    motion = _crowd(1)
+    motion = random_crowd(1)
     prepared, table, edges, phase = _prepare(motion)
     floors = np.full((len(edges) - 1, len(table.mover)), -np.inf)
     start = find_open_intervals(table, edges, phase, floors, 0.1).take(slice(0, 3))
@@ -197,7 +183,7 @@ def test_a_direction_that_is_not_finite_separates_nothing() -> None:
 
 
 def test_a_floor_that_is_not_a_number_leaves_its_pair_open() -> None:
-    motion = _crowd(2)
+    motion = random_crowd(2)
     _, table, edges, phase = _prepare(motion)
     floors = np.full((len(edges) - 1, len(table.mover)), 1.0)
     floors[0, 1] = np.nan
@@ -223,7 +209,7 @@ def test_refined_edges_hold_the_old_ones_and_their_phases() -> None:
 @settings(max_examples=40)
 @given(SEEDS)
 def test_stacked_chains_bound_what_each_of_them_bounds(seed: int) -> None:
-    motion, rng = _crowd(seed), np.random.default_rng(seed)
+    motion, rng = random_crowd(seed), np.random.default_rng(seed)
     prepared, knots = PreparedMotion(motion), motion.curve.knots
     joints = rng.integers(0, motion.robot.model.njoints, size=(6, 2))
     points = rng.uniform(-0.2, 0.2, size=(6, 4, 3))
@@ -239,7 +225,7 @@ def test_stacked_chains_bound_what_each_of_them_bounds(seed: int) -> None:
 
 
 def test_placements_stay_right_as_more_are_asked_for() -> None:
-    motion = _crowd(3)
+    motion = random_crowd(3)
     prepared, forward = PreparedMotion(motion), ForwardKinematics(motion.robot.model)
     rng = np.random.default_rng(3)
     asked = rng.uniform(motion.curve.knots[0], motion.curve.knots[-1], size=200)
@@ -268,7 +254,7 @@ def test_halves_cover_their_interval_and_hand_on_what_is_known() -> None:
 @settings(max_examples=20)
 @given(SEEDS)
 def test_the_columns_and_floors_of_a_proof_leave_out_nothing(seed: int) -> None:
-    motion = _crowd(seed)
+    motion = random_crowd(seed)
     motion = Motion(
         motion.robot, motion.scene, motion.curve, phases=(Phase("all", 0.0, float(motion.curve.knots[-1])),)
     )
@@ -298,6 +284,6 @@ def test_the_columns_and_floors_of_a_proof_leave_out_nothing(seed: int) -> None:
 
 
 def test_configurations_that_are_not_finite_are_refused() -> None:
-    motion = _crowd(4)
+    motion = random_crowd(4)
     with pytest.raises(VerifyError, match="must be finite"):
         ForwardKinematics(motion.robot.model).at(np.full((1, motion.robot.n), np.nan))

@@ -36,6 +36,7 @@ def plan_and_write(
     with progress(stderr, "read request", is_quiet=planning.quiet) as report, cancellable(stderr) as should_stop:
         report("read request", 0.0)
         plan_request, around = read()
+        from costs.native import describe_missing
         from service.planner import plan
         from service.request.file import replace_options
         from service.result.folder import RESULT_NAME, check_folder
@@ -66,4 +67,6 @@ def plan_and_write(
         if planning.verbose:
             print_table(stdout, TRIED_COLUMNS, list_tried(result))
         print_result(stdout, summary, list_files(written, summary), is_verbose=planning.verbose)
+        if describe_missing():
+            stderr.print(describe_missing(), markup=False, soft_wrap=True)
     return str(result.verdict.value)

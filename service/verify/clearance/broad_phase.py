@@ -85,8 +85,10 @@ def _leaving(
     poll()
     leaving = np.zeros((len(middles), len(table.solids)))
     interval, body = (index.ravel() for index in np.indices((len(middles), table.n_bodies)))
-    over, chains = prepared.over(edges[:-1], edges[1:]).take(interval), table.world_rows.take(body)
-    bounds = bound_chord_deviation(table, body, chains, over, placed, middles[interval], settings)
+    over = prepared.over(edges[:-1], edges[1:])
+    bounds = bound_chord_deviation(
+        table, body, table.world_rows, body, over, interval, placed, middles[interval], settings
+    )
     leaving[interval, body] = np.where(table.joint[body] > 0, bounds, 0.0)
     return leaving
 

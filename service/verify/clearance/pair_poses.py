@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from costs.native import find_library
 from costs.stopping import poll
+from service.verify.clearance import compiled
 from service.verify.clearance.pairs import PairIntervals, PairTable
 from service.verify.curves.bounds import RateBounds
 from service.verify.joint_chain import JointChain
@@ -24,6 +26,7 @@ from service.verify.solids import DistanceQuery, supports
 ROUNDING_M = 1e-9
 
 FIRST, LAST, MIDDLE = 0, 1, 2
+_MEASURED = 512  # distances between two polls: a millisecond, ten of hulls of thousands of vertices
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,8 @@ class PairPoses:
         need: (E,) least signed distance [m]: minus the depth where the pair may touch, else the demanded clearance.
         mover, holder: (E,) indices of their solids.
         s: (E, 3) path parameters of first, last and middle pose.
+        placed, pose: joint placements in the world, and (E, 3) which of their rows belong to ``s``.
         rotation, translation: (E, 3, ...) the mover's joint in the frame of the holder's joint.
-        holder_rotation, holder_translation: (E, 3, ...) the holder's joint in the world.
         bound: (E,) how far the mover may leave its chords [m].
     """
 
@@ -48,10 +51,10 @@ class PairPoses:
     mover: Int[np.ndarray, "E"]
     holder: Int[np.ndarray, "E"]
     s: Float[np.ndarray, "E 3"]
+    placed: Placements
+    pose: Int[np.ndarray, "E 3"]
     rotation: Float[np.ndarray, "E 3 3 3"]
     translation: Float[np.ndarray, "E 3 3"]
-    holder_rotation: Float[np.ndarray, "E 3 3 3"]
-    holder_translation: Float[np.ndarray, "E 3 3"]
     bound: Float[np.ndarray, "E"]
 
     @staticmethod
@@ -63,13 +66,10 @@ class PairPoses:
         first, last = ends.real, ends.imag
         s = np.stack([first, last, 0.5 * (first + last)], axis=1)
         placed, poses = prepared.at(s.ravel())
-        pose, over = poses.reshape(s.shape)[where], prepared.over(first, last).take(where)
+        pose, over = poses.reshape(s.shape)[where], prepared.over(first, last)
         mover, holder = table.mover[intervals.pair], table.holder[intervals.pair]
-        held, moved = table.joint[holder][:, None], table.joint[mover][:, None]
-        holder_rotation, holder_translation = placed.rotation[pose, held], placed.translation[pose, held]
-        back = np.swapaxes(holder_rotation, -1, -2)
-        offset = placed.translation[pose, moved] - holder_translation
-        chains = table.chains.take(table.chain[intervals.pair])
+        held, moved = table.joint[holder], table.joint[mover]
+        rotation, translation = place_pairs(placed, pose, held, moved)
         allowed = table.allowed[intervals.pair, intervals.phase]
         return PairPoses(
             table,
@@ -79,11 +79,13 @@ class PairPoses:
             mover,
             holder,
             s[where],
-            back @ placed.rotation[pose, moved],
-            (back @ offset[..., None])[..., 0],
-            holder_rotation,
-            holder_translation,
-            bound_chord_deviation(table, mover, chains, over, placed, pose[:, MIDDLE], settings),
+            placed,
+            pose,
+            rotation,
+            translation,
+            bound_chord_deviation(
+                table, mover, table.chains, table.chain[intervals.pair], over, where, placed, pose[:, MIDDLE], settings
+            ),
         )
 
     @property
@@ -101,6 +103,11 @@ class PairPoses:
         ``direction`` are unit vectors from mover to holder in the holder's frame; those that are not finite give -inf.
         """
         poll()
+        library = find_library()
+        if library is not None:
+            return compiled.separate(
+                library, self.table.hulls, self.mover, self.holder, self.rotation, self.translation, rows, direction
+            )
         turned = direction[:, None, None, :] @ self.rotation[rows, :MIDDLE]
         mover, n = self.mover[rows], len(rows)
         which = np.concatenate([mover, mover, self.holder[rows]])
@@ -115,13 +122,26 @@ class PairPoses:
         self, rows: Int[np.ndarray, "R"], columns: Int[np.ndarray, "R"], query: DistanceQuery
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R 3"]]:
         """Return signed distances [m] and directions from mover to holder of these rows, each at one pose."""
-        solids = self.table.solids
-        return query.closest(
-            [solids[k].convex for k in self.mover[rows].tolist()],
-            self.rotation[rows, columns],
-            self.translation[rows, columns],
-            [solids[k].convex for k in self.holder[rows].tolist()],
-        )
+        library, solids = find_library(), self.table.solids
+        mover, holder = self.mover[rows], self.holder[rows]
+        rotation, translation = self.rotation[rows, columns], self.translation[rows, columns]
+        is_left = np.ones(len(rows), dtype=bool)
+        distance, direction = np.empty(len(rows)), np.empty((len(rows), 3))
+        if library is not None:
+            for low in range(0, len(rows), _MEASURED):
+                poll()
+                some = slice(low, low + _MEASURED)
+                distance[some], direction[some], is_left[some] = self.table.hulls.measure_pairs(
+                    library, mover[some], holder[some], rotation[some], translation[some]
+                )
+        if np.any(is_left):
+            distance[is_left], direction[is_left] = query.closest(
+                [solids[k].convex for k in mover[is_left].tolist()],
+                rotation[is_left],
+                translation[is_left],
+                [solids[k].convex for k in holder[is_left].tolist()],
+            )
+        return distance, direction
 
     def nearest_point(self, row: int, column: int, query: DistanceQuery) -> Float[np.ndarray, "3"]:
         """Return the holder's point nearest to the mover at an interval's end or middle, in the world [m]."""
@@ -129,24 +149,48 @@ class PairPoses:
         point = query.nearest_point(
             mover.convex, self.rotation[row, column], self.translation[row, column], holder.convex
         )
-        return np.asarray(self.holder_rotation[row, column] @ point + self.holder_translation[row, column])
+        at = self.pose[row, column], holder.joint
+        return np.asarray(self.placed.rotation[at] @ point + self.placed.translation[at])
+
+
+def place_pairs(
+    placed: Placements, pose: Int[np.ndarray, "E 3"], held: Int[np.ndarray, "E"], moved: Int[np.ndarray, "E"]
+) -> tuple[Float[np.ndarray, "E 3 3 3"], Float[np.ndarray, "E 3 3"]]:
+    """Return rotations and translations of joints ``moved`` in the frames of joints ``held`` at these poses [m]."""
+    library = find_library()
+    if library is not None:
+        return compiled.place_pairs(library, placed, pose, held, moved)
+    back = np.swapaxes(placed.rotation[pose, held[:, None]], -1, -2)
+    offset = placed.translation[pose, moved[:, None]] - placed.translation[pose, held[:, None]]
+    return back @ placed.rotation[pose, moved[:, None]], (back @ offset[..., None])[..., 0]
 
 
 def bound_chord_deviation(
     table: PairTable,
     mover: Int[np.ndarray, "E"],
     chains: JointChain,
+    chain: Int[np.ndarray, "E"],
     over: RateBounds,
+    interval: Int[np.ndarray, "E"],
     placed: Placements,
     middle: Int[np.ndarray, "E"],
     settings: VerifySettings,
 ) -> Float[np.ndarray, "E"]:
     """Bound the distance of a mover from its chords per interval, exported samples and rounding included [m].
 
-    ``chains`` and ``over`` have a row for each, ``middle`` are the rows of ``placed`` that hold the intervals' middles.
+    Args:
+        chain: row of ``chains``.
+        interval: row of ``over``.
+        middle: row of ``placed`` that holds the interval's middle.
     """
     poll()
-    joint = table.joint[mover]
+    library = find_library()
+    if library is not None:
+        bound = compiled.bound_deviation(
+            library, table, mover, chains, chain, over, interval, placed, middle, settings.rounding
+        )
+        return np.asarray(bound + ROUNDING_M)
+    joint, chains, over = table.joint[mover], chains.take(chain), over.take(interval)
     world = (placed.rotation[middle, joint] @ table.centre[mover][..., None])[..., 0]
     world += placed.translation[middle, joint]
     gap = placed.translation[middle[:, None], chains.joints] - world[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from costs.allowance import Allowance, BodyIndex
+from costs.native import HullSet
 from service.verify.clearance.swaying import bound_sways
 from service.verify.joint_chain import JointChain, JointTree
 from service.verify.motion import Motion
@@ -51,6 +52,11 @@ class PairTable:
     def world_rows(self) -> JointChain:
         """Row by row, the joints that move each body in the world."""
         return JointChain.stack(self.world)
+
+    @cached_property
+    def hulls(self) -> HullSet:
+        """Vertices of all solids in one array."""
+        return HullSet.of([solid.vertices for solid in self.solids])
 
     @cached_property
     def joint(self) -> Int[np.ndarray, "S"]:

@@ -7,7 +7,8 @@ import pinocchio as pin
 
 from costs.curve import Curve
 from costs.robot.model import BASE_NAMES, LinkBody, RobotModel, RobotSource
-from costs.scene import ConvexPiece
+from costs.scene import ConvexPiece, Scene
+from service.verify import Motion
 
 CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
@@ -109,3 +110,17 @@ def dense_points(model: pin.Model, curve: Curve, s: np.ndarray, joint: int, poin
         pin.forwardKinematics(model, data, q)
         found.append(points @ data.oMi[joint].rotation.T + data.oMi[joint].translation)
     return np.array(found)
+
+
+def random_crowd(seed: int) -> Motion:
+    """A branched random robot among boxes."""
+    rng = np.random.default_rng(seed)
+    is_floating = bool(rng.integers(0, 2))
+    model = random_model(rng, int(rng.integers(2, 5)), is_floating=is_floating, branches=True)
+    bodies = []
+    for joint in range(model.njoints):
+        vertices = rng.uniform(-0.15, 0.15, size=(int(rng.integers(4, 12)), 3))
+        bodies.append(LinkBody(f"link{joint}", f"link{joint}", joint, vertices, vertices))
+    robot = robot_of(model, bodies, is_floating=is_floating)
+    pieces = tuple(box(f"piece{k}", tuple(rng.uniform(-1, 1, 3)), tuple(rng.uniform(0.01, 0.2, 3))) for k in range(3))
+    return Motion(robot, Scene(pieces), random_curve(rng, model.nq, 3, spread=0.3))
