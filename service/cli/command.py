@@ -18,7 +18,7 @@ _TYPE = re.compile(r"<([^<>]+)>")
 _NUMBERS = ("int", "float")
 
 
-class Program(typer.Typer):
+class CommandLine(typer.Typer):
     """Commands whose help names what an option takes in words, and no type of this language."""
 
     def command(self, name: str | None = None, **settings: Any) -> Any:
