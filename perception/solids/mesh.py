@@ -36,6 +36,12 @@ class Mesh:
         """Return the mesh in the world frame; a pose with a reflection is allowed."""
         return self.move(pose_world_mesh[:3, :3], pose_world_mesh[:3, 3])
 
+    def stretch(self, scale: float | Float[np.ndarray, "3"]) -> Mesh:
+        """Return the mesh larger by one factor, or by one for each axis; negative ones mirror it, wound as before."""
+        factors = np.broadcast_to(np.asarray(scale, dtype=float), 3)
+        is_mirrored = np.prod(np.sign(factors)) < 0.0
+        return Mesh(self.vertices * factors, self.triangles[:, ::-1] if is_mirrored else self.triangles)
+
     @property
     def volume(self) -> float:
         """Volume of a closed mesh, negative when it is wound inside out [m^3]."""

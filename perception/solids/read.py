@@ -22,7 +22,7 @@ def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> 
 
     Args:
         path: its suffix gives the format; text and binary STL are distinguished by content.
-        scale: metres per unit of the file, one number or one for each axis.
+        scale: metres per unit of the file, one number or one for each axis; negative ones mirror.
 
     Raises:
         MeshError: names the file, the problem and what is expected.
@@ -35,7 +35,7 @@ def read_mesh(path: Path | str, scale: float | Float[np.ndarray, "3"] = 1.0) -> 
         what = "points but no triangles" if len(mesh.vertices) and not len(mesh.triangles) else ""
         what = what or f"{len(mesh.triangles)} triangles"
         raise MeshError(f"{path.name}: has {what}; expected 1 to {MAX_TRIANGLES} triangles")
-    scaled = Mesh(mesh.vertices * scale, mesh.triangles)
+    scaled = mesh.stretch(scale)
     if np.isfinite(scaled.vertices).all():
         _check_size(scaled, path)
     return scaled

@@ -14,7 +14,7 @@ from service.body.regions import KeptRegion
 from service.demands.regions import find_axis, make_kept_region
 from service.demands.targets import make_kept_pose
 from service.errors import RequestError
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 
 Kept = KeptPose | KeptRegion
 

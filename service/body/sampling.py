@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib.util import find_spec
 from typing import Literal
 
 import numpy as np
@@ -236,17 +237,22 @@ class Tree:
     keeps_holds: bool = False
 
 
+def can_sample() -> bool:
+    """Return whether OMPL is installed, which samples the paths; it is not to be had on every system."""
+    return find_spec("ompl") is not None
+
+
 def sample_path(
     problem: SamplingProblem, tree: Tree, is_over: Callable[[], bool] = lambda: False
 ) -> Float[np.ndarray, "K n"] | None:
-    """Return the corners of a collision-free polyline from start to end, shortened; None if OMPL finds none.
+    """Return the corners of a shortened collision-free polyline; None if OMPL finds none or is missing.
 
     Args:
         problem: the ends and the free coordinates.
         tree: seed and effort.
         is_over: polled often; True ends the search.
     """
-    if not all(problem.is_clear(end[None]) for end in problem.ends):
+    if not can_sample() or not all(problem.is_clear(end[None]) for end in problem.ends):
         return None  # OMPL would wait for another goal until the time is up
     from ompl import util  # slow to import, and rarely needed
 

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from service.cli.bench import bench_command
 from service.cli.certify import certify_command
+from service.cli.command import CommandLine
 from service.cli.export import export_command, state_command
 from service.cli.motions.batch import batch_command
 from service.cli.motions.move import move_app
@@ -61,7 +62,7 @@ SIMULATION_EXIT_CODES = (
     "Exit codes: 0 DONE, 1 STOOD, 2 usage, 3 INVALID_REQUEST, 7 FELL, 70 internal error, 130 CANCELLED."
 )
 EXIT_CANCELLED = 130
-app = typer.Typer(
+app = CommandLine(
     name="scopt",
     help="Whole-body trajectories for humanoids, with a certificate that a stranger can replay.",
     epilog=LOCAL_EXIT_CODES,

@@ -22,7 +22,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print exactly one JSON objec
 class CloudOptions:
     """Cloud files and how to read them."""
 
-    files: Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD...")]
+    files: Annotated[list[Path], typer.Argument(help="Point cloud files; several are merged.", metavar="CLOUD")]
     unit: Annotated[
         list[str] | None,
         typer.Option(help="Of the files' lengths: m (as by default), cm, mm, km, in, ft.", metavar="UNIT"),

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.rotation import quaternion_matrix
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 from service.request.tasks.reach import PoseGoalRequest
 from service.verify import RegionTarget
 

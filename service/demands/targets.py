@@ -13,7 +13,7 @@ from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.rotation import quaternion_matrix
 from costs.work_space import borrow_data
 from service.demands.regions import SMALLEST_SHIFT, SMALLEST_TURN, find_axis, make_goal_region, make_kept_region
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 from service.request.tasks.reach import GoalPartRequest, GoalRequest, PoseGoalRequest
 from service.verify import AxisTarget, JointTarget, PoseTarget, RegionTarget, RelativePoseTarget
 

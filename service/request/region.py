@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Protocol
 
 from pydantic import Field
@@ -79,6 +80,22 @@ class RegionRequest(Section):
     def limits_rotation(self) -> bool:
         """Whether it limits the orientation."""
         return any(turn is not None for turn in self.turns_deg)
+
+
+def find_gap(one: RegionRequest, other: RegionRequest) -> tuple[str, float, float] | None:
+    """Return an axis along which two regions of one frame have no place in common, with its bounds; None without one.
+
+    Returns:
+        The axis, the larger of the least places, and the smaller of the largest ones [m].
+    """
+    for axis, lows, highs in zip(
+        "xyz", zip(one.lower, other.lower, strict=True), zip(one.upper, other.upper, strict=True), strict=True
+    ):
+        low = max((value for value in lows if value is not None), default=-math.inf)
+        high = min((value for value in highs if value is not None), default=math.inf)
+        if low > high:
+            return axis, low, high
+    return None
 
 
 class _Looking(Protocol):

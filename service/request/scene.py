@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, StrictBool, Tag
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, StrictBool, Tag
 from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
@@ -31,6 +31,31 @@ from service.request.shapes import MOST_PARTS, PartRequest
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 """Suffixes of mesh files that refer to no other files and can be uploaded."""
+
+
+def _check_mirrored(value: object) -> object:
+    """Refuse a negative scale, which mirrors along all axes at once: no object is made so."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and value < 0.0:
+        raise PydanticCustomError(
+            "scale", "expected more than 0; scale_xyz: [1, -1, 1] mirrors the mesh along its y axis"
+        )
+    return value
+
+
+def _check_factor(value: float) -> float:
+    """Refuse a factor of a mesh by which nothing is left of it, or by which it is no object of a scene."""
+    if not LEAST_FACTOR <= abs(value) <= 1.0 / LEAST_FACTOR:
+        raise PydanticCustomError(
+            "scale",
+            "expected a factor of {least} to {most}, or its negative to mirror",
+            {"least": "0.001", "most": "1000"},
+        )
+    return value
+
+
+LEAST_FACTOR = 1e-3  # of a mesh along an axis
+_Scale = Annotated[Length, BeforeValidator(_check_mirrored)]
+_Factor = Annotated[Number, AfterValidator(_check_factor)]
 
 
 @dataclass(config=SECTION)
@@ -92,13 +117,15 @@ class ConvexRequest(_Placed):
 class MeshRequest(_Placed):
     """A mesh file (STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero), split into convex pieces.
 
-    ``scale`` is metres per unit of the file.  Without ``decompose`` the mesh's hull is the only piece.  With ``match``
-    its pose is searched in the scan near the given one, and points on or inside the mesh do not become pieces.
+    ``scale`` is metres per unit of the file, ``scale_xyz`` further factors along its axes, negative to mirror it.
+    Without ``decompose`` the mesh's hull is the only piece.  With ``match`` its pose is searched in the scan near the
+    given one, and points on or inside the mesh do not become pieces.
     """
 
     type: Literal["mesh"]
     file: FilePath
-    scale: Length = 1.0
+    scale: _Scale = 1.0
+    scale_xyz: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 1.0)
     decompose: StrictBool = True
     match: StrictBool = False
 

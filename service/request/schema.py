@@ -33,17 +33,14 @@ from service.request.fields import (
     find_repeated,
     require_exactly_one,
 )
+from service.request.keep import KeepRequest, refuse_contradictions
 from service.request.paces import PACES
-from service.request.region import LinkAxis, RegionRequest, check_look
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
 from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
 from service.request.tasks.kind import TaskKind, TaskSection
 from service.request.tasks.reach import GoalRequest
 from service.request.tasks.registry import REACH, TaskRequest
-
-LEAST_SHARE = 0.01  # of the path, in which a pose is kept
-
 
 Friction = Annotated[Number, Field(ge=0.0, le=5.0)]
 
@@ -241,53 +238,6 @@ class Options(Section):
         return self.acceleration_scale if self.pace is None else PACES[self.pace].acceleration_scale
 
 
-@dataclass(config=SECTION)
-class KeepRequest(Section):
-    """A link keeps its pose, or keeps to a region, relative to another link along the motion (two hands on a beam).
-
-    Attributes:
-        link: a link or frame of the robot.
-        relative_to: another link or frame; by default the world.
-        position, quaternion_wxyz: pose of ``link`` in ``relative_to``; a missing part is taken from the start.
-        position_tolerance_m: largest distance of the link's origin from its position; a region with bounds of the
-            position replaces it.
-        rotation_tolerance_deg: largest angle from the orientation, of the free axis from its direction, or of the
-            looking axis from its place; a region with angles about axes replaces it.
-        free_axis: axis of ``link`` about which it may rotate.
-        region: limits along and about the axes of the pose.
-        look_at: place in the reference to which ``look_axis`` points.
-        look_axis: axis of the link.
-        after, until: shares of the motion's path between which the pose is kept.
-    """
-
-    link: Name
-    relative_to: Name | None = None
-    position: Point | None = None
-    quaternion_wxyz: Quaternion | None = None
-    position_tolerance_m: Annotated[Number, Field(ge=5e-4, le=1.0)] = 0.005
-    rotation_tolerance_deg: Annotated[Number, Field(ge=0.05, le=180.0)] = 1.0
-    free_axis: Literal["none", "x", "y", "z"] = "none"
-    region: RegionRequest | None = None
-    look_at: Point | None = None
-    look_axis: LinkAxis = "x"
-    after: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
-    until: Annotated[Number, Field(ge=0.0, le=1.0)] = 1.0
-
-    def __post_init__(self) -> None:
-        if self.link == self.relative_to:
-            words = "link and relative_to are both {link}; two links are needed"
-            raise PydanticCustomError("keep", words, {"link": shown(self.link)})
-        check_look(self)
-        if self.until - self.after < LEAST_SHARE:
-            words = "after {after} and until {until} leave no part of the motion; expected until to be larger"
-            raise PydanticCustomError("keep", words, {"after": f"{self.after:g}", "until": f"{self.until:g}"})
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it is one pose along the whole motion with a distance and an angle for tolerances."""
-        return self.region is None and self.look_at is None and self.after <= 0.0 and self.until >= 1.0
-
-
 @dataclass(config=SECTION, kw_only=True)
 class _Carried(Section):
     """A body fixed to ``link``, with its pose in that link's frame.
@@ -345,6 +295,7 @@ class PlanRequest(Section):
         require_exactly_one(self, ("goal", "task"))
         if self.task is not None and self.keep:
             raise PydanticCustomError("request", "keep belongs to a goal; a task knows itself what it holds")
+        refuse_contradictions(self.keep)
         if self.resume is not None and not self.section.can_resume:
             words = "resume belongs to a goal or a task with phases; {field} has none"
             raise PydanticCustomError("request", words, {"field": self.kind.field})

@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from jaxtyping import Float
+
 from service.errors import RequestError
 from service.request.object_file import read_object_file
 from service.request.shapes import (
@@ -21,11 +24,11 @@ if TYPE_CHECKING:
     from perception.solids.mesh import Mesh, Solid
 
 
-def read_object(path: Path, scale: float = 1.0) -> Solid:
+def read_object(path: Path, scale: float | Float[np.ndarray, "3"] = 1.0) -> Solid:
     """Read an object file.
 
     Args:
-        scale: metres per unit of its lengths.
+        scale: metres per unit of its lengths, one number or one for each axis; negative ones mirror.
 
     Raises:
         RequestError: one line per problem.
@@ -33,14 +36,13 @@ def read_object(path: Path, scale: float = 1.0) -> Solid:
     return make_object(read_object_file(path), path.name, scale)
 
 
-def make_object(request: ObjectRequest, name: str, scale: float = 1.0) -> Solid:
+def make_object(request: ObjectRequest, name: str, scale: float | Float[np.ndarray, "3"] = 1.0) -> Solid:
     """Return the solid of an object [m].
 
     Raises:
         RequestError: its sizes contradict each other.
     """
     from perception import PerceptionError, rigid_pose
-    from perception.solids.mesh import Mesh
     from perception.solids.shapes import unite_meshes
 
     meshes: list[Mesh] = []
@@ -48,8 +50,7 @@ def make_object(request: ObjectRequest, name: str, scale: float = 1.0) -> Solid:
         for part in request.parts:
             pose = rigid_pose((*part.position, *part.quaternion_wxyz))
             meshes += [mesh.place(pose) for mesh in _make_meshes(part)]
-        scaled = [Mesh(mesh.vertices * scale, mesh.triangles) for mesh in meshes]
-        return unite_meshes(scaled, name)
+        return unite_meshes([mesh.stretch(scale) for mesh in meshes], name)
     except PerceptionError as error:
         raise RequestError(str(error)) from None
 

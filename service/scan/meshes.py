@@ -18,10 +18,13 @@ if TYPE_CHECKING:
 
 URDF = ".urdf"
 SCENES = (".dae", ".glb", ".gltf")  # files of several parts with their places, which robots may be made of too
+NOT_STRETCHED = (1.0, 1.0, 1.0)
 FORMATS = (".stl", ".obj", ".ply", *SCENES, URDF, *OBJECT_SUFFIXES)
 
 
-def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
+def read_solid(
+    path: Path, field: str, scale: float = 1.0, scale_xyz: tuple[float, float, float] = NOT_STRETCHED
+) -> Solid:
     """Read a mesh file, in its own frame [m].
 
     Args:
@@ -29,6 +32,7 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
             object, or an object file with its parameters. Flat meshes become thin plates.
         field: field of the request that names the file.
         scale: metres per unit of the file.
+        scale_xyz: further factors along the axes of the file; negative ones mirror.
 
     Raises:
         RequestError: the file is missing, of another format, too large or broken; the message names ``field``.
@@ -36,18 +40,18 @@ def read_solid(path: Path, field: str, scale: float = 1.0) -> Solid:
     from perception import PerceptionError  # takes a while, and most scenes need none
     from perception.solids.mesh import unite_solids
 
+    factors = np.array(scale_xyz)
     if not path.is_file():
         raise RequestError(f"{field}: {path} is not there; paths start at the request's folder")
     if path.suffix.lower() not in FORMATS:
         raise RequestError(f"{field}: {path.name}: format '{path.suffix}' is not read; expected {', '.join(FORMATS)}")
     try:
         if path.suffix.lower() in OBJECT_SUFFIXES:
-            return read_object(path, scale)
+            return read_object(path, scale * factors)
         if path.suffix.lower() != URDF:
-            return _make_solid(_read_triangles(path, scale), path.name)
-        return unite_solids(
-            [_make_solid(_read_shape(shape, scale), shape.where) for shape in read_object_shapes(path)], path.name
-        )
+            return _make_solid(_read_triangles(path, scale * factors), path.name)
+        shapes = [(_read_shape(shape, scale).stretch(factors), shape.where) for shape in read_object_shapes(path)]
+        return unite_solids([_make_solid(mesh, where) for mesh, where in shapes], path.name)
     except RequestError as error:
         raise RequestError([f"{field}: {problem}" for problem in error.problems]) from None
     except (PerceptionError, RobotError) as error:
@@ -93,7 +97,7 @@ def _read_triangles(path: Path, scale: float | Float[np.ndarray, "3"]) -> Mesh:
     if path.suffix.lower() not in SCENES:
         return read_mesh(path, scale)
     read = read_triangles(path, path.name)
-    return Mesh(read.vertices * scale, read.faces)
+    return Mesh(read.vertices, read.faces).stretch(scale)
 
 
 def _read_shape(shape: StillShape, scale: float) -> Mesh:

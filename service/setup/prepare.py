@@ -16,6 +16,7 @@ from costs.robot import RobotModel
 from costs.scene import Scene
 from costs.stopping import Stopped, poll, stops_when
 from service.body.kept import Kept, make_kept_poses
+from service.body.sampling import can_sample
 from service.demands import World, check_padding, compose_scene
 from service.demands.contacts.stances import ContactStance
 from service.demands.kind import ResolvedStart, find_demand_part
@@ -127,6 +128,7 @@ def prepare(
         joints = request.goal.joints
         notes += (*note_turns(robot, joints, "goal.joints"), *note_snapped(robot, joints, "goal"))
     notes += (*weightless, *robot.notes, *_note_carried(request), *check_units(request, robot, start))
+    notes += tuple(_note_sampling())
     kept = make_kept_poses(robot, start, request.keep)
     soles = find_soles(robot, start, request, program)
     check_rates(robot, start, request, soles)
@@ -171,6 +173,12 @@ def prepare(
         stances=stances,
         rests=check.rests,
     )
+
+
+def _note_sampling() -> Iterator[str]:
+    """Yield a sentence where the search lacks what samples its paths."""
+    if not can_sample():
+        yield "OMPL is not installed: no path is sampled around obstacles (pip install ompl)"
 
 
 def _note_carried(request: PlanRequest) -> Iterator[str]:

@@ -311,7 +311,7 @@ def _read_mechanisms(request: PlanRequest) -> tuple[GivenMechanism, ...]:
 def _solid(request: PlanRequest, obstacle: MeshRequest, field: str) -> Solid:
     from service.scan.meshes import read_solid
 
-    return read_solid(request.resolve(obstacle.file), field, obstacle.scale)
+    return read_solid(request.resolve(obstacle.file), field, obstacle.scale, obstacle.scale_xyz)
 
 
 def _read_match(obstacle: MeshRequest, match: MeshMatch, field: str) -> Float[np.ndarray, "4 4"]:

@@ -24,7 +24,8 @@ from costs.robot import (
 from costs.robot.servo import list_servo_joints, make_stiffness
 from costs.rotation import pose_matrix
 from service.errors import RequestError, would_do
-from service.request.schema import AttachedRequest, KeepRequest, PlanRequest
+from service.request.keep import KeepRequest
+from service.request.schema import AttachedRequest, PlanRequest
 from service.start.configuration import find_unknown_joints
 from service.start.split_links import split_links
 

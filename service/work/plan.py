@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -177,8 +177,9 @@ def _scene_cache() -> Memory:
 
 def warm_up() -> None:
     """Load the modules and the robot that many requests need, beyond those imported before the workers are forked."""
-    import ompl.base
-    import ompl.geometric  # noqa: F401
+    with suppress(ModuleNotFoundError):  # where there is none, no path is sampled
+        import ompl.base
+        import ompl.geometric  # noqa: F401
 
     from service.request.file import parse_request
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import typer
 from click.testing import Result
 from small_plan import small_plan
 from typer.testing import CliRunner
@@ -192,6 +194,24 @@ def test_verify_and_view_read_what_plan_wrote(tmp_path: Path, monkeypatch: pytes
 def test_version_is_that_of_the_installed_package() -> None:
     result = _scopt("--version")
     assert (result.exit_code, result.stdout, result.stderr) == (0, f"scopt {version('scopt')}\n", "")
+
+
+def _list_commands(group: Any, *above: str) -> Iterator[tuple[str, ...]]:
+    for name, own in group.commands.items():
+        yield from _list_commands(own, *above, name) if hasattr(own, "commands") else [(*above, name)]
+
+
+def test_the_help_of_every_command_says_what_an_option_takes_and_names_no_type() -> None:
+    commands = list(_list_commands(typer.main.get_command(app)))
+    assert ("move", "line") in commands
+    for command in commands:
+        told = _scopt(*command, "--help").stdout
+        assert told.startswith("Usage:")
+        assert re.search(r"<\w+[ \],>]|list\[|Path\b", told) is None, command
+    told = _scopt("batch", "--help").stdout
+    assert "{REQUEST}..." in told
+    assert re.search(r"-o, --out PATH +Folder", told)
+    assert re.search(r"--time-limit NUMBER +Wall time", told)
 
 
 def test_robots_lists_atlas() -> None:

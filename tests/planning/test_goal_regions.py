@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from shared_plans import write_undrawn
 from stranger import check_folder
 from tiny_robots import Segment, chain_urdf
@@ -16,6 +18,7 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
+from service.request.region import RegionRequest, find_gap
 from service.request.schema import PlanRequest
 from service.result.result import PlanResult
 from service.wire.requests import request_from_message, request_to_message
@@ -120,6 +123,34 @@ def test_what_makes_no_sense_is_refused_in_a_line(
     with pytest.raises(RequestError) as caught:
         plan(ask(arm, goal, *([] if keep is None else [{"link": "tip", **keep}])))
     assert expected in str(caught.value)
+
+
+bounds = st.tuples(*[st.none() | st.floats(-1.0, 1.0)] * 6).filter(
+    lambda b: any(v is not None for v in b) and all(None in b[k : k + 2] or b[k] + 0.01 < b[k + 1] for k in (0, 2, 4))
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(bounds, bounds)
+def test_regions_have_a_gap_where_no_place_is_in_both(one: tuple[Any, ...], other: tuple[Any, ...]) -> None:
+    names = [f"{axis}_{end}_m" for axis in "xyz" for end in ("min", "max")]
+    regions = [RegionRequest(**dict(zip(names, own, strict=True))) for own in (one, other)]
+    free = [
+        max(own[k] for own in (one, other, (-9.0,) * 6) if own[k] is not None)
+        <= min(own[k + 1] for own in (one, other, (9.0,) * 6) if own[k + 1] is not None)
+        for k in (0, 2, 4)
+    ]
+    gap = find_gap(*regions)
+    assert (gap is None) == all(free)
+    assert gap is None or not free["xyz".index(gap[0])]
+
+
+def test_kept_regions_that_leave_no_place_are_refused_unless_they_hold_one_after_the_other(arm: Path) -> None:
+    goal = {"joints": {"joint1": 0.1}}
+    above, below = {"link": "tip", "region": {"z_min_m": 0.1}}, {"link": "tip", "region": {"z_max_m": -0.1}}
+    with pytest.raises(RequestError, match=r"keep\[0\].region and keep\[1\].region leave no place for 'tip': z of at"):
+        ask(arm, goal, {**above, "after": 0.3}, {**below, "until": 0.5})
+    assert len(ask(arm, goal, {**above, "after": 0.6}, {**below, "after": 0.1, "until": 0.5}).keep) == 2
 
 
 def test_goals_that_break_a_kept_region_are_refused_at_once(arm: Path) -> None:

@@ -15,7 +15,7 @@ from service.body.holds import (
     project_within_limits,
 )
 from service.body.kept import make_kept_poses
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 
 
 def standing_with_both_hands():

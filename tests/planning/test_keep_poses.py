@@ -15,7 +15,7 @@ from scopt import Sense
 from service.body.holds import KeptPose, relative_pose
 from service.body.kept import make_kept_poses
 from service.errors import RequestError
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 
 READY = "reach_ready"
 

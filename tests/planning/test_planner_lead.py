@@ -15,7 +15,7 @@ from service.body.kept import make_kept_poses
 from service.body.paths import straight_path
 from service.body.poses import BASE_SPREAD, JOINT_SPREAD, random_guesses
 from service.body.whole_body import WholeBody
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.tasks.reach.goal import Goal, lead_path, make_line_holds
 

@@ -1,6 +1,7 @@
 """The sampling planner's starts, and what they are good for: problems that no straight start leads around."""
 
 import json
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
@@ -53,6 +54,24 @@ def test_equal_seeds_give_equal_paths(tmp_path):
     problem = problem_of(arm(tmp_path))
     first, second = (sample_path(problem, Tree(seed=3, most_checks=3000)) for _ in range(2))
     np.testing.assert_array_equal(first, second)
+
+
+def test_without_the_library_no_path_is_sampled_and_a_note_says_so(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ompl", None)  # as where it is not installed
+    body = arm(tmp_path)
+    assert sample_path(problem_of(body), Tree(seed=0, most_checks=3000)) is None
+    box = {"name": "post", "type": "box", "size": [0.1, 0.1, 0.1], "position": [0.5, 0.0, 0.0]}
+    joints = list(body.robot.joint_names)
+    request = parse_request({
+        "robot": {"urdf": str(next(tmp_path.rglob("*.urdf")))},
+        "scene": {"obstacles": [box], "floor": False},
+        "start": {"joints": {joints[0]: -0.9}},
+        "goal": {"joints": {joints[0]: 0.9}},
+        "options": {"starts": 6},
+    })  # fmt: skip
+    result = plan(request)
+    assert not result.found_from.startswith("path of")
+    assert any(note.startswith("OMPL is not installed: no path is sampled") for note in result.notes)
 
 
 def test_a_way_that_is_closed_is_not_found_within_its_checks(tmp_path):

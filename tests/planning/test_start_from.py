@@ -112,6 +112,17 @@ def test_the_search_begins_with_the_earlier_motion_between_new_ends(
     assert len(result.tried) == 1
 
 
+def test_an_earlier_motion_of_a_standing_robot_is_bent_on_its_feet() -> None:
+    reach = {"link": "l_tool", "position": [0.45, 0.45, 1.2], "position_tolerance_m": 0.01}
+    data = {"robot": {"name": "atlas"}, "start": {"posture": "reach_ready"}, "goal": {"poses": [reach]}}
+    before = plan(parse_request(data))
+    moved = parse_request({**data, "goal": {"poses": [{**reach, "position": [0.46, 0.43, 1.21]}]}})
+    result = plan(moved, start_from=before)
+    assert result.verdict is Verdict.CERTIFIED
+    assert result.found_from == "earlier motion"
+    assert result.tried[-1].n_steps <= 2  # feet that have to be put back take four
+
+
 def test_a_start_on_the_way_begins_with_the_rest_of_the_motion(
     request_past_the_post: PlanRequest, earlier: PlanResult
 ) -> None:

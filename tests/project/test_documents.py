@@ -57,6 +57,8 @@ def test_the_site_has_every_page_and_describes_names_that_exist() -> None:
     assert len(described) > 20
     assert [name for name in described if not exists(name)] == []
     assert site["theme"]["font"] is False
+    assert "offline" in site["plugins"]  # without it a page that is opened as a file has no search
+    assert all((docs / path).is_file() for path in site["extra"]["polyfills"])
 
 
 def test_pictures_of_the_documents_are_small() -> None:

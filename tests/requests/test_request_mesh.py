@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from perception.solids import mesh as mesh_module
 from service.errors import RequestError
 from service.planner import plan
-from service.request.file import load_request
+from service.request.file import load_request, parse_request
 from service.result.result import Verdict
 from service.scan.meshes import read_solid, split_convex
 
@@ -46,6 +48,42 @@ def test_a_convex_mesh_is_one_part(tmp_path: Path) -> None:
     np.testing.assert_allclose(part.min(axis=0), [0, 0, 0])
     np.testing.assert_allclose(part.max(axis=0), [1, 2, 3])
     assert len(part) == 8
+
+
+FACTOR = st.floats(0.1, 3.0) | st.floats(-3.0, -0.1)
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.tuples(FACTOR, FACTOR, FACTOR), st.booleans())
+def test_factors_of_either_sign_stretch_and_mirror_a_mesh_and_leave_its_outside_outside(
+    tmp_path: Path, factors: tuple[float, float, float], in_urdf: bool
+) -> None:
+    low, high = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.5, 0.9])
+    path = _obj(tmp_path / "cube.obj", [_cube(tuple(low), tuple(high))])
+    if in_urdf:
+        path = tmp_path / "cube.urdf"
+        shape = '<collision><geometry><mesh filename="cube.obj"/></geometry></collision>'
+        path.write_text(f'<robot name="cube"><link name="cube">{shape}</link></robot>')
+    solid = read_solid(path, "file", 2.0, factors)
+    (part,) = solid.closed
+    corners = 2.0 * np.array([low, high]) * factors
+    np.testing.assert_allclose(part.vertices.min(axis=0), corners.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(part.vertices.max(axis=0), corners.max(axis=0), atol=1e-9)
+    assert part.volume == pytest.approx(np.prod(np.ptp(corners, axis=0)))
+    assert not solid.notes  # nothing had to be turned
+
+
+@pytest.mark.parametrize(
+    ("given_scale", "words"),
+    [
+        ({"scale": -1}, r"scale: expected more than 0; scale_xyz: \[1, -1, 1\] mirrors the mesh"),
+        ({"scale_xyz": [1, 0, 1]}, r"scale_xyz\[1\]: expected a factor of 0.001 to 1000, or its negative"),
+    ],
+)
+def test_a_scale_that_leaves_no_mesh_is_refused_in_a_sentence(given_scale: dict[str, object], words: str) -> None:
+    mesh = {"name": "mug", "type": "mesh", "file": "mug.stl", **given_scale}
+    with pytest.raises(RequestError, match=words):
+        parse_request({"robot": {"name": "atlas"}, "scene": {"obstacles": [mesh]}, "goal": {"joints": {}}})
 
 
 def test_separate_solids_are_parts_of_their_own(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from service.body.holds import project_onto_holds
 from service.body.kept import make_kept_poses
 from service.body.whole_body import WholeBody
 from service.explain.distance import find_never_kept
-from service.request.schema import KeepRequest
+from service.request.keep import KeepRequest
 from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.tasks.reach.goal import Goal
 from service.verify import Target

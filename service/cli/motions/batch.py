@@ -15,7 +15,7 @@ from service.cli.run import cancellable, consoles, print_json, progress
 
 @command()
 def batch_command(
-    requests: Annotated[list[Path], typer.Argument(help="Request files (YAML or JSON).", metavar="REQUEST...")],
+    requests: Annotated[list[Path], typer.Argument(help="Request files (YAML or JSON).", metavar="REQUEST")],
     planning: PlanningOptions,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder; each result is OUT/NAME of its request.")] = Path(
         "out"

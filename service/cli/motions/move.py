@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.command import command
+from service.cli.command import CommandLine, command
 from service.cli.motions.planning import plan_and_write
 from service.cli.motions.task import read_settings
 from service.cli.options import Json, PlanningOptions
@@ -16,7 +16,7 @@ from service.cli.options import Json, PlanningOptions
 if TYPE_CHECKING:
     from service.request.schema import PlanRequest
 
-move_app = typer.Typer(
+move_app = CommandLine(
     help="Single motions: each is a step of task.steps.", no_args_is_help=True, rich_markup_mode=None
 )
 Triple = tuple[float, float, float]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.command import command
+from service.cli.command import CommandLine, command
 from service.cli.motions.planning import plan_and_write
 from service.cli.options import Json, PlanningOptions
 from service.cli.report import print_table
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from service.request.schema import PlanRequest
     from service.request.task_files import TaskFile
 
-task_app = typer.Typer(help="Task files: list them, show one, plan one.", no_args_is_help=True, rich_markup_mode=None)
+task_app = CommandLine(help="Task files: list them, show one, plan one.", no_args_is_help=True, rich_markup_mode=None)
 
 
 @command()

@@ -234,7 +234,7 @@ class Reach:
             if self.known is not None:
                 path = bend_path(self.known, self.solver.body.nominal, end)
                 count = max(LEAST_WAYPOINTS, len(path)) if self.n_waypoints is None else self.n_waypoints
-                yield Way.KNOWN.value, resample_path(path, count)
+                yield Way.KNOWN.value, self.solver.body.project_onto_holds(resample_path(path, count))
 
     def _lead_links(self) -> Iterable[tuple[str, Path]]:
         """Yield the path along straight lines of the goal's links."""

@@ -1480,7 +1480,7 @@ class Floor(_message.Message):
     def __init__(self, is_there: bool = ..., height: _Optional[float] = ...) -> None: ...
 
 class Obstacle(_message.Message):
-    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "decompose", "match", "in_scan")
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "decompose", "match", "in_scan", "scale_xyz")
     TYPE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
@@ -1494,6 +1494,7 @@ class Obstacle(_message.Message):
     DECOMPOSE_FIELD_NUMBER: _ClassVar[int]
     MATCH_FIELD_NUMBER: _ClassVar[int]
     IN_SCAN_FIELD_NUMBER: _ClassVar[int]
+    SCALE_XYZ_FIELD_NUMBER: _ClassVar[int]
     type: Shape
     name: str
     position: _containers.RepeatedScalarFieldContainer[float]
@@ -1507,7 +1508,8 @@ class Obstacle(_message.Message):
     decompose: bool
     match: bool
     in_scan: bool
-    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., decompose: bool = ..., match: bool = ..., in_scan: bool = ...) -> None: ...
+    scale_xyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., decompose: bool = ..., match: bool = ..., in_scan: bool = ..., scale_xyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Cut(_message.Message):
     __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points")
