@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
@@ -27,13 +26,12 @@ from benchmarks.attack.fields import (
     Steps,
     list_changes,
     read_at,
-    remember_certificates,
+    remembering,
     walk,
 )
 from benchmarks.attack.forgery import Folder, Level
 from benchmarks.attack.outcome import Answer, Attack
 from service.errors import RequestError
-from service.replay import replay
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 
@@ -95,8 +93,8 @@ def _attack(base: str, seed: int, most: int | None, scratch: Path) -> tuple[Answ
     for index, (steps, name, change) in enumerate(chosen):
         edited = Folder(bases.copy_of(base, scratch / str(index)))
         _put(edited.request, steps, change)
-        edited.save(Level.FITTED)
-        with mock.patch.object(replay, "verify", remember_certificates):
+        with remembering():
+            edited.save(Level.FITTED)
             answer, _ = judges.verify(edited.path)
         if answer is Answer.BELIEVED:
             believed.append(f"{'.'.join(map(str, steps))} {name}")
