@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.attack import bases, judges
 from benchmarks.attack.outcome import Answer, Attack
+from benchmarks.attack.rare_bases import RARE
 from costs.robot import RobotError, RobotModel, load_robot
 from service.result.manifest import write_manifest
 from service.result.motion_json import motion_from_json, motion_json
@@ -54,6 +55,9 @@ LONG_BASES = (
     "egress",
     "resume",
     "compliant",
+    "walk",
+    "moving",
+    *RARE,
 )  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
@@ -68,6 +72,8 @@ SHORT = (
     "the rod on the other side of the bar",
     "hands that slip",
     "servos that give way less",
+    "a base on wheels that slides sideways",
+    "a fork of one prong",
 )
 LONG = (
     "a place moved by 20 mm",
