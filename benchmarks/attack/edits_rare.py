@@ -36,6 +36,14 @@ def a_base_on_wheels_that_slides_sideways(folder: Folder) -> None:
 
 
 @RARE_EDITS.lie("cart")
+def a_base_on_wheels_that_slides_a_little_at_one_place(folder: Folder) -> None:
+    """Move the base aside by 1 % of its way between two knots; all of it together would be excused."""
+    column, rows = _column(folder, "base_y"), folder.curve["positions"]
+    for row in rows[len(rows) // 2 :]:
+        row[column] += 0.012
+
+
+@RARE_EDITS.lie("cart")
 def a_base_on_wheels_that_is_said_to_slide(folder: Folder) -> None:
     """Slide, and have a robot in the folder that may."""
     _bulge(folder, "base_y", 0.04)
