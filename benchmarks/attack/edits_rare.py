@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from benchmarks.attack.forgery import Folder, Level, Registry
+from costs.curve import Curve
 
 RARE_EDITS = Registry()
 FITTED, HASHED, REMADE = Level.FITTED, Level.HASHED, Level.REMADE
@@ -322,6 +323,28 @@ HEAVY = (
 def the_first_push_left_out_of_the_record(folder: Folder) -> None:
     index = next(k for k, phase in enumerate(folder.phases) if phase["pushes"])
     folder.phases[index].update(pushes=[], loads=[], regions=[], pressed=[])
+
+
+@RARE_EDITS.lie("pushes", "drawer")
+def what_is_pushed_goes_back_and_on_again(folder: Folder) -> None:
+    """Lead hand and object to two thirds of the way, back to one third, and on, slowly enough for every limit."""
+    curve, phase = folder.curve, next(phase for phase in folder.phases if phase["pushes"])
+    known = Curve(*(np.array(curve[name]) for name in ("knots", "positions", "tangents")))
+    borders = {end for each in (phase, *phase["regions"]) for end in (each["first"], each["last"])}
+    s = np.array(curve["samples"])[sorted(borders | set(range(phase["first"], phase["last"], 2)))]
+    x = (s - s[0]) / (s[-1] - s[0])
+    wave = np.sin(2.0 * np.pi * x)
+    way = s[0] + (s[-1] - s[0]) * (x**2 * (3.0 - 2.0 * x) + 0.5 * wave**3)
+    slope = 6.0 * x * (1.0 - x) + 3.0 * np.pi * wave**2 * np.cos(2.0 * np.pi * x)
+    before, after = known.knots < s[0], known.knots > s[-1]
+    for name, old, new in (
+        ("knots", known.knots, s),
+        ("positions", known.positions, known(way)),
+        ("tangents", known.tangents, known(way, 1) * slope[:, None]),
+    ):
+        curve[name] = np.concatenate([old[before], new, old[after]]).tolist()
+    law = curve["law"]
+    law.update(times=[6.0 * time for time in law["times"]], speed=[speed / 6.0 for speed in law["speed"]])
 
 
 @RARE_EDITS.lie("pushes", level=FITTED)

@@ -234,7 +234,7 @@ class Folder:
         certificate["status"] = "CERTIFIED"
         for check in certificate["checks"]:
             check["ok"] = True
-        claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt")
+        claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt", "coverage")
         self.data.update({key: certificate[key] for key in claims if key in certificate})
         self.data.update(motion_json(motion, robot), certificate=certificate, verdict="CERTIFIED", explanation=[])
         claimed = [replace(report, status=PhaseStatus.CERTIFIED) for report in reports]

@@ -21,18 +21,28 @@ STILL = 1e-5  # by which a joint at rest may be off [rad, m]
 
 def bound_coordinate(curve: Curve, column: int, first: float, last: float) -> tuple[float, float]:
     """Return the least and greatest value of a coordinate between two path parameters, exactly [rad, m]."""
+    values = curve(_list_extremes(curve, column, first, last))[:, column]
+    return float(values.min()), float(values.max())
+
+
+def measure_retreat(curve: Curve, column: int, first: float, last: float) -> float:
+    """Return by how much a coordinate goes back on its way between two path parameters, exactly [rad, m]."""
+    values = curve(_list_extremes(curve, column, first, last))[:, column]
+    values = values if values[-1] >= values[0] else -values
+    return float((np.maximum.accumulate(values) - values).max())
+
+
+def _list_extremes(curve: Curve, column: int, first: float, last: float) -> Float[np.ndarray, "P"]:
+    """Return the ends of a stretch, its knots and where a coordinate's derivative vanishes, in order."""
     knots, coefficients = curve.knots, curve.coefficients()
-    values = [curve(np.array([first, last]))[:, column]]
+    places = [first, last, *knots[(knots > first) & (knots < last)].tolist()]
     for k in np.flatnonzero((knots[1:] >= first) & (knots[:-1] <= last)).tolist():
-        low, high = max(first, knots[k]), min(last, knots[k + 1])
-        # A cubic is largest at an end of the stretch or where its derivative vanishes.
         _, c1, c2, c3 = (float(part[k, column]) for part in coefficients)
         roots = np.roots([3.0 * c3, 2.0 * c2, c1]) if c3 or c2 else np.zeros(0)
         at = [root.real + knots[k] for root in roots if abs(root.imag) < 1e-12]
-        inside = np.array([low, high, *(s for s in at if low < s < high)])
-        values.append(curve(inside)[:, column])
-    everything = np.concatenate(values)
-    return float(everything.min()), float(everything.max())
+        low, high = max(first, knots[k]), min(last, knots[k + 1])
+        places += [s for s in at if low < s < high]
+    return np.sort(np.array(places))
 
 
 def list_load_wrenches(
