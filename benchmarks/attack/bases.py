@@ -19,6 +19,7 @@ from benchmarks.attack import judges
 from benchmarks.attack.arm_files import GOAL, START, arm_request, write_arm
 from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from benchmarks.attack.outcome import Answer
+from benchmarks.attack.rare_bases import RARE
 from benchmarks.attack.step_requests import peg_request, steps_request
 from scopt import EffortClock
 from service import parse_request, plan, write_result
@@ -131,6 +132,8 @@ def _request(name: str, folder: Path) -> dict[str, Any]:
             return peg_request(write_gantry(folder))
         case "moves" | "paths" | "presses" | "touches" | "walk":
             return steps_request(name)
+        case _ if name in RARE:
+            return RARE[name](folder)
         case "missed":
             pose = {"link": "l_tool", "position": [0.50, 0.20, 2.40], "position_tolerance_m": 0.001}
             return _atlas("stand", [], goal={"poses": [pose]}, options={"starts": 1, "time_limit_s": 4.0})

@@ -11,16 +11,19 @@ from __future__ import annotations
 import json
 import pickle
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from unittest import mock
 
-from benchmarks.attack import bases, judges
+from benchmarks.attack import bases, forgery, judges
 from benchmarks.attack.forgery import Folder, Level
 from benchmarks.attack.outcome import Answer, Attack
+from benchmarks.attack.rare_bases import RARE
+from costs.robot import RobotModel, Root, load_robot
 from service.replay import replay
 from service.verify import Certificate, Motion, bodies_hash, robot_hash, scene_hash, verify
 
@@ -44,6 +47,8 @@ BASES = (
     "presses",
     "touches",
     "walk",
+    "moving",
+    *RARE,
 )
 GROUPS = ("pushes", "contacts", "targets", "promises", "mechanism", "certificate", "servo", "others")
 FREE = {  # no verdict rests on it
@@ -82,6 +87,7 @@ TRUE = (  # less than is proven, one of several nearest pairs, and a polygon wit
     "min_clearance_pair",
     "phases.*.support.polygon without its first",
 )
+DEFAULT = ("null", "fixed")  # of the base of a robot given by its files: nothing is changed
 MOST_PLACES = 8  # of a kind of field, among which chance chooses
 MOST_S = 900  # for all edits of a group
 SHARE, LEAST = 0.2, 4e-3  # by which numbers are changed
@@ -139,10 +145,9 @@ def attacks(seed: int = 0, most: int | None = None) -> list[Attack]:
 
 def _attack(base: str, group: str, seed: int, most: int | None, scratch: Path) -> tuple[Answer, str]:
     """Edit every kind of field of a group; the answer names the fields whose edit is believed."""
-    honest = json.loads((bases.original(base) / "result" / "result.json").read_text(encoding="utf-8"))
     told, believed = 0, []
     rng = random.Random(f"{seed} {base} {group}")
-    edits = list(_list_edits(honest, group, rng))
+    edits = list(_list_edits(base, group, rng))
     chosen = edits if most is None else rng.sample(edits, min(len(edits), most))
     for index, (steps, name, change) in enumerate(chosen):
         told += 1
@@ -162,24 +167,32 @@ def _is_believed(base: str, steps: Steps, change: Change, scratch: Path) -> bool
             for step in way:
                 holder = holder[step]
             holder[last] = change(holder[last])
-    folder.save(Level.FITTED)
-    with mock.patch.object(replay, "verify", remember_certificates):
+    with remembering():
+        folder.save(Level.FITTED)
         answer, _ = judges.verify(folder.path)
     return answer is Answer.BELIEVED and judges.verify(folder.path)[0] is Answer.BELIEVED
 
 
-def _list_edits(honest: Mapping[str, Any], group: str, rng: random.Random) -> Iterator[tuple[Steps, str, Change]]:
+def _list_edits(base: str, group: str, rng: random.Random) -> Iterator[tuple[Steps, str, Change]]:
     """Yield path, name and change of an edit of every kind of field of a group."""
-    for kind in _list_kinds(honest):
+    honest, kinds = _read_kinds(base)
+    for kind in kinds:
         edits = [
             (steps, name)
             for steps in rng.sample(kind.places, min(len(kind.places), MOST_PLACES))
             for name in list_changes(read_at(honest, steps))
-            if not f"{kind.name} {name}".startswith(TRUE)
+            if not f"{kind.name} {name}".startswith(TRUE) and (name, read_at(honest, steps)) != DEFAULT
         ]
         if kind.group == group and edits:
             steps, name = rng.choice(edits)
             yield steps, name, list_changes(read_at(honest, steps))[name]
+
+
+@cache
+def _read_kinds(base: str) -> tuple[dict[str, Any], list[Kind]]:
+    """Return the honest result of a base and the kinds of its fields."""
+    honest = json.loads((bases.original(base) / "result" / "result.json").read_text(encoding="utf-8"))
+    return honest, _list_kinds(honest)
 
 
 def _list_kinds(honest: Mapping[str, Any]) -> list[Kind]:
@@ -239,12 +252,23 @@ def list_changes(value: Any) -> dict[str, Change]:
     return {}
 
 
+@contextmanager
+def remembering() -> Iterator[None]:
+    """Make each robot and certificate once in the body, where no lie is about files of robots."""
+    with (
+        mock.patch.object(replay, "verify", _remember_certificate),
+        mock.patch.object(replay, "load_robot", _remember_robot),
+        mock.patch.object(forgery, "load_robot", _remember_robot),
+    ):
+        yield
+
+
 @cache
-def _known() -> dict[bytes, Certificate]:
+def _known() -> dict[bytes, Any]:
     return {}
 
 
-def remember_certificates(motion: Motion) -> Certificate:
+def _remember_certificate(motion: Motion) -> Certificate:
     """Return the certificate of a motion, made once for equal ones."""
     robot = motion.robot
     hashes = (robot_hash(robot), bodies_hash(robot), scene_hash(motion.scene))
@@ -254,4 +278,14 @@ def remember_certificates(motion: Motion) -> Certificate:
     known = _known()
     if key not in known:
         known[key] = verify(motion)
-    return known[key]
+    return cast(Certificate, known[key])
+
+
+def _remember_robot(*, urdf: Path, srdf: Path | None, package_dirs: Sequence[Path], root: Root) -> RobotModel:
+    """Return the robot of a folder's files, loaded once for equal URDF and SRDF."""
+    texts = [path.read_bytes() for path in (urdf, srdf) if path is not None]
+    key = pickle.dumps((texts, srdf is None, sorted(path.name for path in package_dirs), root))
+    known = _known()
+    if key not in known:
+        known[key] = load_robot(urdf=urdf, srdf=srdf, package_dirs=package_dirs, root=root)
+    return cast(RobotModel, known[key])

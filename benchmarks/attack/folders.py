@@ -19,6 +19,7 @@ from benchmarks.attack.edits_lever import LEVER
 from benchmarks.attack.edits_motion import MOTION
 from benchmarks.attack.edits_pace import PACE
 from benchmarks.attack.edits_promises import PROMISES
+from benchmarks.attack.edits_rare import RARE_EDITS
 from benchmarks.attack.edits_request import REQUEST
 from benchmarks.attack.edits_stances import STANCES
 from benchmarks.attack.edits_world import WORLD
@@ -66,6 +67,7 @@ def attacks() -> list[Attack]:
             WORLD,
             MOTION,
             PACE,
+            RARE_EDITS,
         )
         for edit in registry.edits
     ]

@@ -21,6 +21,7 @@ import numpy as np
 
 from benchmarks.attack import bases, judges
 from benchmarks.attack.outcome import Answer, Attack
+from benchmarks.attack.rare_bases import RARE
 from costs.robot import RobotError, RobotModel, load_robot
 from service.result.manifest import write_manifest
 from service.result.motion_json import motion_from_json, motion_json
@@ -53,6 +54,9 @@ LONG_BASES = (
     "egress",
     "resume",
     "compliant",
+    "walk",
+    "moving",
+    *RARE,
 )  # slow: the short version has few edits of them
 SHORT = (
     "turn backwards",
@@ -62,6 +66,8 @@ SHORT = (
     "the object moves while the hand rests",
     "hands that slip",
     "servos that give way less",
+    "a base on wheels that slides sideways",
+    "a fork of one prong",
 )
 LONG = (
     "a place moved by 20 mm",
@@ -242,7 +248,7 @@ class Folder:
         certificate["status"] = "CERTIFIED"
         for check in certificate["checks"]:
             check["ok"] = True
-        claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt")
+        claims = ("min_clearance_m", "min_clearance_pair", "min_balance_margin_m", "checks", "exempt", "coverage")
         self.data.update({key: certificate[key] for key in claims if key in certificate})
         self.data.update(motion_json(motion, robot), certificate=certificate, verdict="CERTIFIED", explanation=[])
         claimed = [replace(report, status=PhaseStatus.CERTIFIED) for report in reports]

@@ -58,7 +58,7 @@ def with_objects(robot: RobotModel, placed: Sequence[PlacedObject]) -> RobotMode
     What a link carries adds to the robot's mass, what the world carries does not.  The robot's files do not have them.
 
     Raises:
-        RobotError: a name in use, or an unknown link.
+        RobotError: a name in use, an unknown link, or an inertia that no body has.
     """
     if not placed:
         return robot
@@ -71,9 +71,7 @@ def with_objects(robot: RobotModel, placed: Sequence[PlacedObject]) -> RobotMode
         joint, pose = _locate(model, robot, each)
         model.addBodyFrame(item.name, joint, pin.SE3(pose), -1)
         if joint > 0:
-            own = item.inertia
-            inertia = pin.Inertia(own.mass, own.centre, own.moments)
-            model.appendBodyToJoint(joint, inertia, pin.SE3(pose))
+            model.appendBodyToJoint(joint, item.inertia.make(f"object '{item.name}'"), pin.SE3(pose))
         else:
             still.add(item.name)
         vertices = np.asarray(item.vertices @ pose[:3, :3].T + pose[:3, 3])

@@ -15,7 +15,7 @@ from service.demands.rest.displacement import measure_displacement
 from service.demands.stance import UNSETTLED
 from service.demands.task_demand import IncompletePlanError, RecordDemand, TaskDemand, World
 from service.request.resume import NominalRequest
-from service.verify import Motion, bound_coordinate
+from service.verify import Motion, bound_coordinate, measure_retreat
 
 STILL = 1e-5  # by which a joint of the mechanism at rest may be off [rad, m]
 BORDER_OFF = 1.5e-3  # by which a joint of the mechanism may miss its value at a phase's border [rad, m]
@@ -137,7 +137,10 @@ def find_moved_joints(mechanism: Mechanism, motion: Motion, specs: Sequence[Task
             ):
                 yield f"{names[index]} does not move as the task has it in phase '{phase.name}'"
             elif spec is not None and index in moving:  # its loads are those between the two values
-                low, high = bound_coordinate(curve, len(curve.positions[0]) - k + index, phase.first, phase.last)
+                column = len(curve.positions[0]) - k + index
+                low, high = bound_coordinate(curve, column, phase.first, phase.last)
                 ends = sorted((float(spec.first[index]), float(spec.last[index])))
                 if low < ends[0] - BORDER_OFF or high > ends[1] + BORDER_OFF:
                     yield f"{names[index]} leaves its way from {ends[0]:.4g} to {ends[1]:.4g} in phase '{phase.name}'"
+                elif (back := measure_retreat(curve, column, phase.first, phase.last)) > BORDER_OFF:  # one way's loads
+                    yield f"{names[index]} moves back by {back:.4g} in phase '{phase.name}'"

@@ -32,11 +32,19 @@ from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
 from service.start.mechanism_file import inline_mechanisms
 from service.start.robot import add_request_parts, attach_bodies, load_requested_robot
+from service.start.robot_report import name_base
 from service.start.standing import move_floor_to_soles, sole_corners
 
 if TYPE_CHECKING:
     from perception import LeverDetection, SeenPart, ValveDetection
     from service.trajopt import Program
+
+_BASES = {  # bases of a robot that a request for each may find; joints of a fixed one's files may be those of a base
+    "floating": ("floating",),
+    "planar": ("planar", "differential"),
+    "differential": ("differential",),
+    "fixed": ("fixed", "planar", "differential"),
+}
 
 
 @dataclass(frozen=True)
@@ -144,10 +152,9 @@ def _rebuild_robot(
     """Return the robot and its source; only a user's request has robot files read again."""
     if is_given or (request.robot.urdf is None and request.robot.name in bundled_robots()):
         return attach_bodies(load_requested_robot(request, finds_package=is_given), request), request_from
-    if request.robot.root == "differential" and not record.robot.rolls:
-        raise RequestError(
-            "robot.root: differential; the robot in this folder may slide sideways, expected one that cannot"
-        )
+    asked, found = request.robot.root or "fixed", name_base(record.robot)
+    if found not in _BASES[asked]:
+        raise RequestError(f"robot.root: {asked}; the robot in this folder has a {found} base, expected {asked}")
     links = {body.link for body in record.robot.bodies}
     missing = [attached.name for attached in request.attached if attached.name not in links]
     if missing:

@@ -26,7 +26,7 @@ def describe_robot(robot: RobotModel) -> dict[str, Any]:
     first = 6 if robot.is_floating else 0
     return {
         "name": robot.name,
-        "base": _name_base(robot),
+        "base": name_base(robot),
         "mass_kg": float(pin.computeTotalMass(model)),
         "joints": [_describe_joint(robot, column) for column in range(first, robot.n)],
         "followers": _list_followers(robot),
@@ -42,7 +42,7 @@ def describe_robot(robot: RobotModel) -> dict[str, Any]:
     }
 
 
-def _name_base(robot: RobotModel) -> str:
+def name_base(robot: RobotModel) -> str:
     """Return how the base moves, as ``robot.root`` of a request says it."""
     if robot.is_floating or not robot.is_planar:
         return "floating" if robot.is_floating else "fixed"

@@ -98,6 +98,7 @@ from service.verify.forces.hand_loads import (
     bound_coordinate,
     list_load_cases,
     list_offsets,
+    measure_retreat,
 )
 from service.verify.forces.load_limits import (
     LoadLimits,
@@ -324,6 +325,7 @@ __all__ = [
     "measure_jerks",
     "measure_lean",
     "measure_rests",
+    "measure_retreat",
     "measure_timed_peaks",
     "meet",
     "offset_from_target",

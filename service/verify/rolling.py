@@ -16,12 +16,12 @@ from service.verify.rounding import round_up
 from service.verify.timeline import find_time
 
 NAME = "rolling.base"
-SLIDE_M, SLIDE_SHARE = 1e-3, 0.01  # that a base may slide in all, and per length of its way [m, -]
+SLIDE_M, SLIDE_SHARE = 1e-3, 0.01  # that a base may slide on any stretch, and per length of that stretch [m, -]
 PARTS = 64  # of an interval between knots
 
 
 def check_rolling(prepared: PreparedMotion, settings: VerifySettings) -> Iterator[Check]:
-    """Bound the way that a rolling base slides across its heading; nothing for other robots.
+    """Bound the way that a rolling base slides across its heading, on its worst stretch; nothing for other robots.
 
     In each part of the curve the slide is at most ``(|a'| + |p'| |turn|) ds``, with ``a`` along the normal of the
     heading in the part's middle, and the turn from there.
@@ -45,16 +45,27 @@ def check_rolling(prepared: PreparedMotion, settings: VerifySettings) -> Iterato
     slide = sum(np.abs(across[0] * x + across[1] * y) * power for x, y, power in _series(rates, half))
     speed = sum(np.hypot(x, y) * power for x, y, power in _series(rates, half))
     slides = np.asarray((slide + speed * turn) * 2.0 * half)
-    way = float(np.linalg.norm(np.diff(motion.curve.positions[:, columns[:2]], axis=0), axis=1).sum())
-    limit, value = SLIDE_M + SLIDE_SHARE * way, float(slides.sum())
-    worst = float(middle.ravel()[int(slides.argmax())])
+    places = [_evaluate(coefficients[..., k], edges - knots[:-1, None]) for k in range(2)]
+    ways = np.hypot(*(np.diff(place, axis=1) for place in places))  # chords, no longer than the way
+    first, last = _find_worst((slides - SLIDE_SHARE * ways).ravel())
+    value, way = (float(each.ravel()[first : last + 1].sum()) for each in (slides, ways))
+    limit = SLIDE_M + SLIDE_SHARE * way
+    worst = float(middle.ravel()[first + int(slides.ravel()[first : last + 1].argmax())])
     ok = value <= limit
     amount = f"{round_up(1e3 * value, 2)} mm"
-    text = f"the base turns and rolls, and slides across its heading by at most {amount} on its way of {way:.2f} m"
+    text = f"the base turns and rolls, and slides across its heading by at most {amount} on {way:.2f} m of its way"
     if not ok:
-        text = f"the base slides across its heading by up to {amount} on its way of {way:.2f} m, as wheels do not"
+        text = f"the base slides across its heading by up to {amount} on {way:.2f} m of its way, as wheels do not"
     where = None if ok else Where(worst, find_time(motion.law, worst), None, ())
     yield Check(NAME, ok, value, limit, "m", text, where, Basis.PROOF)
+
+
+def _find_worst(excess: Float[np.ndarray, "P"]) -> tuple[int, int]:
+    """Return the first and last of the neighbouring parts whose sum is largest."""
+    sums = np.concatenate([[0.0], np.cumsum(excess)])
+    least = np.minimum.accumulate(sums[:-1])
+    last = int((sums[1:] - least).argmax())
+    return int(sums[: last + 1].argmin()), last
 
 
 def _evaluate(coefficients: Float[np.ndarray, "k I"], u: Float[np.ndarray, "I P"]) -> Float[np.ndarray, "I P"]:

@@ -124,6 +124,13 @@ def test_a_given_grasp_is_taken(gantry: Path) -> None:
     assert result.notes[-1] == "block is taken by the right hand at grasp 0"
 
 
+def test_fingers_without_friction_hold_nothing(gantry: Path) -> None:
+    request = {**pick_place_request(gantry), "options": {"hand_friction": [0.0, 0.6]}}
+    result = plan(parse_request(request))
+    assert result.verdict.value == "INFEASIBLE"
+    assert any("would have to press without end at a friction of 0" in line for line in result.explanation)
+
+
 IMPOSSIBLE = {
     "out of reach": (
         {"to": {"position": [9.0, 0.2, 0.04]}},

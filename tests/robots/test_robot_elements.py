@@ -156,6 +156,16 @@ def test_joined_bodies_have_the_mass_of_both_about_their_common_centre() -> None
     np.testing.assert_allclose(both.moments, np.diag([0.0, 3.0, 3.0]))
 
 
+@pytest.mark.parametrize(
+    ("mass", "moments"),
+    [(-1.0, np.eye(3)), (1.0, np.diag([-0.1, 1.0, 1.0])), (1.0, np.triu(np.ones((3, 3)))), (1.0, np.ones((2, 3)))],
+)
+def test_an_inertia_that_no_body_has_is_an_error_of_one_line(mass: float, moments: np.ndarray) -> None:
+    with pytest.raises(RobotError, match=r"^object 'block': .*") as refused:
+        LinkInertia(mass, np.zeros(3), moments).make("object 'block'")
+    assert "\n" not in str(refused.value)
+
+
 def test_a_mechanism_s_masses_are_placed_in_the_world() -> None:
     """Two links that a fixed joint joins, on a slide, with the root turned by 90 deg about z and 1 m up."""
     heavy = drawer_urdf().replace('<link name="drawer">', '<link name="drawer">' + inertial(2.0, (0.1, 0, 0), 0.0))

@@ -150,3 +150,29 @@ def test_without_mujoco_one_line_says_what_to_install(model: Path, monkeypatch: 
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(RobotError, match=r"pip install 'scopt\[sim\]'"):
         load_robot(urdf=model)
+
+
+def test_what_a_urdf_cannot_say_is_named(tmp_path: Path) -> None:
+    joints = "".join(
+        f'<joint name="{name}" axis="{axis}" range="-1 1" {more}/>'
+        for name, axis, more in (("sprung", "1 0 0", 'stiffness="5"'), ("geared", "0 1 0", 'armature="0.2"'))
+    )
+    held = '<body name="c" gravcomp="1" pos="0 0 1"><joint name="held" range="-1 1"/><geom size="0.1"/></body>'
+    chain = f'<body name="b">{joints}<geom size="0.1"/>{held}</body>'
+    body = f'<geom type="box" size="1 1 1"/><body name="a"><freejoint/><geom size="0.1"/>{chain}</body>'
+    more = (
+        '<option gravity="0 0 -1.6"/><tendon><fixed name="t"><joint joint="sprung" coef="1"/></fixed></tendon>'
+        '<equality><joint joint1="held"/></equality>'
+    )
+    notes = load_robot(urdf=_write(tmp_path, body, more), root="floating").notes
+    for words in (
+        "springs of joints sprung are left out",
+        "inertias of rotors (armature) of joints geared",
+        "takes off bodies c (gravcomp)",
+        "gravity, 0.0 0.0 -1.6 m/s^2, is not used",
+        "tendons are left out",
+        "joint 'held' is held in its place by an equality",
+        "shapes of the model's world are left out",
+    ):
+        assert any(words in note for note in notes), (words, notes)
+    assert load_robot(urdf=_write(tmp_path, f"<body>{LINK}</body>")).notes == notes[-1:]

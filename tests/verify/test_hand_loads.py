@@ -20,7 +20,7 @@ from service.body.forces.loaded_regions import plan_regions
 from service.body.whole_body import WholeBody
 from service.verify import HandLoad, VerifyError
 from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium
-from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches
+from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches, measure_retreat
 from service.verify.forces.loaded_balance import find_normals, place_contact_points
 
 
@@ -36,6 +36,15 @@ def test_a_coordinate_is_bounded_exactly(seed: int) -> None:
     assert dense.max() <= high + 1e-12
     assert high - dense.max() < 1e-4
     assert dense.min() - low < 1e-4
+    onward = dense if dense[-1] >= dense[0] else -dense
+    back = (np.maximum.accumulate(onward) - onward).max()
+    assert back - 1e-12 <= measure_retreat(curve, 1, first, last) < back + 2e-4
+
+
+def test_a_coordinate_that_swings_back_between_two_knots_retreats() -> None:
+    curve = Curve(np.array([0.0, 1.0, 2.0]), np.array([[0.0], [0.5], [1.0]]), np.array([[0.0], [-1.0], [0.0]]))
+    assert measure_retreat(curve, 0, 0.0, 2.0) == pytest.approx(0.148, abs=0.01)
+    assert measure_retreat(curve, 0, 0.0, 0.5) == 0.0
 
 
 @given(

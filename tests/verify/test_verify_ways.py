@@ -93,10 +93,22 @@ def test_a_motion_that_does_another_part_of_its_way_is_refuted(end: float) -> No
     assert f"does {100.0 * end:.1f} %" in progress.text
 
 
-def test_a_motion_that_goes_back_on_its_way_is_refuted() -> None:
-    progress = check([[0, 0, 0], [0.6, 0, 0], [0.5, 0, 0], [1, 0, 0]], line())[".progress"]
-    assert not progress.ok
-    assert "moves back" in progress.text
+CREEP = [0.6 - 9e-4 * k for k in range(40)]  # less than a millimetre back from knot to knot, 35 mm in all
+
+
+@pytest.mark.parametrize(
+    ("places", "slopes"),
+    [
+        ([0.0, 0.6, 0.5, 1.0], [0.0, 0.0, 0.0, 0.0]),
+        ([0.0, *CREEP, 1.0], [0.0] * 42),
+        ([0.0, 0.4, 1.0], [0.0, -0.5, 0.0]),  # between two knots
+    ],
+)
+def test_a_motion_that_goes_back_on_its_way_is_refuted(places: list[float], slopes: list[float]) -> None:
+    checks = check([[x, 0, 0] for x in places], line(), [[slope, 0, 0] for slope in slopes])
+    assert checks[""].ok
+    assert not checks[".progress"].ok
+    assert "moves back by" in checks[".progress"].text
 
 
 def test_the_wrong_sense_of_a_circle_is_refuted() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from jaxtyping import Float
 from lxml import etree
 
@@ -32,6 +33,25 @@ class LinkInertia:
     mass: float
     centre: Float[np.ndarray, "3"]
     moments: Float[np.ndarray, "3 3"]
+
+    def make(self, what: str) -> pin.Inertia:
+        """Return it as pinocchio has it.
+
+        Args:
+            what: has it, in messages.
+
+        Raises:
+            RobotError: no body has it: a negative mass or moment, moments that are not symmetric, or wrong shapes.
+        """
+        shapes = (np.shape(self.centre), np.shape(self.moments))
+        if shapes != ((3,), (3, 3)):
+            raise RobotError(f"{what}: centre and moments have the shapes {shapes}; expected (3,) and (3, 3)")
+        if self.mass < 0.0:
+            raise RobotError(f"{what}: mass {self.mass:g} is negative")
+        try:
+            return pin.Inertia(self.mass, self.centre, self.moments)
+        except RuntimeError as error:
+            raise RobotError(f"{what}: no body of {self.mass:g} kg has its moments of inertia: {error}") from None
 
     def move(self, pose: Float[np.ndarray, "4 4"]) -> LinkInertia:
         """Return the body in the frame that ``pose`` leads to."""

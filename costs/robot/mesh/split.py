@@ -59,7 +59,7 @@ class LinkSplit:
                 )
             count = sum(self._replace(shape, f"{link}_{k}", roots, f"{where}: link '{link}'")
                         for k, shape in enumerate(shapes))  # fmt: skip
-            notes.append(f"link '{link}': its collision meshes are split into {count} convex parts, which contain them")
+            notes.append(f"link '{link}': its collision meshes are split into {count} convex parts, to a millimetre")
 
     def _replace(self, collision: etree._Element, name: str, roots: Sequence[Path], where: str) -> int:
         """Replace a collision element by one for each convex part of its mesh; return how many."""

@@ -25,7 +25,10 @@ from costs.robot.xmlfile import MADE_HERE
 
 FREE, BALL, SLIDE, HINGE = range(4)  # types of joints
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH, SDF = range(9)  # types of geoms
+ODD = (PLANE, HFIELD, SDF)  # geoms that no shape is made of
 JOINT_EQUALITY = 2
+EARTH = (0.0, 0.0, -9.81)  # gravity of every plan [m/s^2]
+GRAVITY_ROUNDING = 0.02  # of models, which write 9.8 or 9.80665 [m/s^2]
 JOINT_TRANSMISSION = 0
 WORLD = "world"
 TINY_M = 1e-12
@@ -93,6 +96,7 @@ def rewrite_mjcf(text: str, path: Path, roots: Sequence[Path]) -> RewrittenRobot
             for element in _list_joints(model, body, efforts):
                 robot.append(element)
     _add_followers(model, robot, notes)
+    notes += _list_left_out(model)
     notes.append(
         f"a model of MuJoCo states no limits of speed: {DEFAULT_VELOCITY:g} rad/s or m/s are used; the pairs of links "
         "that its contacts leave out are not taken over"
@@ -317,6 +321,34 @@ def _add_followers(model: _Model, robot: etree._Element, notes: list[str]) -> No
         etree.SubElement(
             elements[follower], "mimic", joint=leader, multiplier=repr(float(data[1])), offset=repr(offset)
         )
+
+
+def _list_left_out(model: _Model) -> Iterator[str]:
+    """Yield a note on each kind of thing that the model has and a URDF cannot say."""
+    mj = model.mj
+    own = [joint for body in model.kept if body != model.free for joint in _list_body_joints(mj, body)]
+    dofs = {joint: int(mj.jnt_dofadr[joint]) for joint in own}
+    if sprung := [model.joints[joint] for joint in own if np.any(mj.jnt_stiffness[joint])]:
+        yield f"springs of joints {', '.join(sprung)} are left out of their torques"
+    if heavy := [model.joints[joint] for joint in own if mj.dof_armature[dofs[joint]] > 0.0]:
+        yield f"inertias of rotors (armature) of joints {', '.join(heavy)} are left out of their torques"
+    if lifted := [model.bodies[body] for body in model.kept if mj.body_gravcomp[body]]:
+        yield f"weight that the model takes off bodies {', '.join(lifted)} (gravcomp) counts in full"
+    if not np.allclose(mj.opt.gravity, EARTH, rtol=0.0, atol=GRAVITY_ROUNDING):
+        yield f"the model's gravity, {format_numbers(mj.opt.gravity)} m/s^2, is not used; that of the earth along -z is"
+    if mj.ntendon:
+        yield "tendons are left out: joints that they couple move by themselves, and their forces are in no torque"
+    for k in range(mj.neq):
+        if mj.eq_type[k] == JOINT_EQUALITY and mj.eq_active0[k] and int(mj.eq_obj2id[k]) < 0:
+            name = model.joints[int(mj.eq_obj1id[k])]
+            yield f"joint '{name}' is held in its place by an equality, which is left out; robot.locked fixes it"
+    odd = [model.bodies[body] for body in model.kept if any(mj.geom_type[g] in ODD for g in _list_geoms(mj, body))]
+    if odd:
+        yield f"planes, fields and sdf shapes of bodies {', '.join(odd)} are left out; nothing keeps clear of them"
+    if mj.nflex or mj.nskin:
+        yield "soft bodies (flex, skin) are left out; nothing keeps clear of them"
+    if model.free is not None and any(_make_shape(mj, geom) is not None for geom in _list_geoms(mj, 0)):
+        yield "shapes of the model's world are left out; put them into the scene"
 
 
 def _write_postures(model: _Model) -> str:

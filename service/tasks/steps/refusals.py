@@ -63,11 +63,12 @@ def find_obstacle(
             f"the fingers of the {weak[0].side} hand press with at most {weak[0].force_n:g} N, "
             f"and {item.name} is to be held with {step.force_n:g} N"
         )
-    needed = GRAVITY * item.inertia.mass / (2.0 * holding.friction * (2 if step.hand == "both" else 1))
-    if needed > step.force_n:
+    weight = GRAVITY * item.inertia.mass / (4 if step.hand == "both" else 2)  # of each finger
+    if weight > holding.friction * step.force_n:
+        need = f"with {weight / holding.friction:.0f} N" if holding.friction > 0.0 else "without end"
         return (
-            f"{item.name} of {item.inertia.mass:g} kg is too heavy: each finger would have to press with "
-            f"{needed:.0f} N at a friction of {holding.friction:g}, it does with {step.force_n:g} N"
+            f"{item.name} of {item.inertia.mass:g} kg is too heavy: each finger would have to press "
+            f"{need} at a friction of {holding.friction:g}, it does with {step.force_n:g} N"
         )
     for pose, where in pick.places:
         radius = float(np.linalg.norm(item.vertices, axis=1).max()) + NEAR_M

@@ -21,20 +21,28 @@ STILL = 1e-5  # by which a joint at rest may be off [rad, m]
 
 def bound_coordinate(curve: Curve, column: int, first: float, last: float) -> tuple[float, float]:
     """Return the least and greatest value of a coordinate between two path parameters, exactly [rad, m]."""
+    values = curve(_list_extremes(curve, column, first, last))[:, column]
+    return float(values.min()), float(values.max())
+
+
+def measure_retreat(curve: Curve, column: int, first: float, last: float) -> float:
+    """Return by how much a coordinate goes back on its way between two path parameters, exactly [rad, m]."""
+    values = curve(_list_extremes(curve, column, first, last))[:, column]
+    values = values if values[-1] >= values[0] else -values
+    return float((np.maximum.accumulate(values) - values).max())
+
+
+def _list_extremes(curve: Curve, column: int, first: float, last: float) -> Float[np.ndarray, "P"]:
+    """Return the ends of a stretch, its knots and where a coordinate's derivative vanishes, in order."""
     knots, coefficients = curve.knots, curve.coefficients()
-    values = [curve(np.array([first, last]))[:, column]]
-    for k in range(len(knots) - 1):
-        low, high = max(first, knots[k]), min(last, knots[k + 1])
-        if high < low:
-            continue
-        # A cubic is largest at an end of the stretch or where its derivative vanishes.
+    places = [first, last, *knots[(knots > first) & (knots < last)].tolist()]
+    for k in np.flatnonzero((knots[1:] >= first) & (knots[:-1] <= last)).tolist():
         _, c1, c2, c3 = (float(part[k, column]) for part in coefficients)
         roots = np.roots([3.0 * c3, 2.0 * c2, c1]) if c3 or c2 else np.zeros(0)
         at = [root.real + knots[k] for root in roots if abs(root.imag) < 1e-12]
-        inside = np.array([low, high, *(s for s in at if low < s < high)])
-        values.append(curve(inside)[:, column])
-    everything = np.concatenate(values)
-    return float(everything.min()), float(everything.max())
+        low, high = max(first, knots[k]), min(last, knots[k + 1])
+        places += [s for s in at if low < s < high]
+    return np.sort(np.array(places))
 
 
 def list_load_wrenches(
@@ -46,16 +54,13 @@ def list_load_wrenches(
         VerifyError: more than one joint that carries the loads moves on the stretch, or a link is unknown.
     """
     model = motion.robot.model
-    moving = _find_moving_joint(motion, loads, first, last)
+    moving, span = _find_moving_joint(motion, loads, first, last)
     q = motion.curve(np.array([first]))[0].copy()
-    span = (0.0, 0.0)
     if moving is not None:
-        column = int(model.joints[moving].idx_q)
-        span = bound_coordinate(motion.curve, column, first, last)
-        q[column] = 0.0
+        q[int(model.joints[moving].idx_q)] = 0.0
     data = borrow_data(model)
     pin.framesForwardKinematics(model, data, q)
-    corners = [_corners_of(motion.robot, data, load, moving, span) for load in loads]
+    corners = [_corners_of(motion, data, load, moving, span) for load in loads]
     wrenches = [np.zeros((1, 6))]
     for choice in product(*corners):  # where each load acts on its slide
         for share in product((0.0, 1.0), repeat=len(loads)):
@@ -64,37 +69,43 @@ def list_load_wrenches(
     return np.unique(np.concatenate(wrenches), axis=0)
 
 
-def _find_moving_joint(motion: Motion, loads: tuple[HandLoad, ...], first: float, last: float) -> int | None:
-    """Return the only joint that moves one of the loaded links on a stretch, or None."""
-    model, moving = motion.robot.model, set[int]()
-    for load in loads:
-        if not model.existFrame(load.link):
-            raise VerifyError(f"unknown link '{load.link}' of a load")
-        joint = int(model.frames[model.getFrameId(load.link)].parentJoint)
-        while joint > 0:
-            low, high = bound_coordinate(motion.curve, int(model.joints[joint].idx_q), first, last)
-            if high - low > STILL:
-                moving.add(joint)
-            joint = int(model.parents[joint])
+def _find_moving_joint(
+    motion: Motion, loads: tuple[HandLoad, ...], first: float, last: float
+) -> tuple[int | None, tuple[float, float]]:
+    """Return the only joint that moves one of the loaded links on a stretch, or None, and what it goes through."""
+    model, moving = motion.robot.model, dict[int, tuple[float, float]]()
+    for joint in {joint for load in loads for joint in _list_carrying(motion, load)}:
+        span = bound_coordinate(motion.curve, int(model.joints[joint].idx_q), first, last)
+        if span[1] - span[0] > STILL:
+            moving[joint] = span
     if len(moving) > 1:
         names = ", ".join(model.names[joint] for joint in sorted(moving))
         raise VerifyError(f"{names} move at once; loads can be followed while one joint moves")
-    return next(iter(moving), None)
+    return next(iter(moving.items()), (None, (0.0, 0.0)))
+
+
+def _list_carrying(motion: Motion, load: HandLoad) -> list[int]:
+    """Return the joints that carry the link of a load (VerifyError where there is no such link)."""
+    model = motion.robot.model
+    if not model.existFrame(load.link):
+        raise VerifyError(f"unknown link '{load.link}' of a load")
+    joints = list[int]()
+    above = int(model.frames[model.getFrameId(load.link)].parentJoint)
+    while above > 0:
+        joints.append(above)
+        above = int(model.parents[above])
+    return joints
 
 
 def _corners_of(
-    robot: RobotModel, data: pin.Data, load: HandLoad, moving: int | None, span: tuple[float, float]
+    motion: Motion, data: pin.Data, load: HandLoad, moving: int | None, span: tuple[float, float]
 ) -> Iterator[Float[np.ndarray, "K 6"]]:
     """Yield the corners of one load's wrenches, once per end of its slide."""
-    model = robot.model
+    model = motion.robot.model
     pose = data.oMf[model.getFrameId(load.link)]
     force = -pose.rotation @ load.force
     slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
-    above = int(model.frames[model.getFrameId(load.link)].parentJoint)
-    chain = set[int]()
-    while above > 0:
-        chain.add(above)
-        above = int(model.parents[above])
+    chain = _list_carrying(motion, load)
     if load.link == WORLD:
         slides = [slide + off for slide in slides for off in list_offsets(load)]
     for slide in slides:

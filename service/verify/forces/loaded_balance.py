@@ -46,17 +46,18 @@ def check_loaded_balance(
         nan = float("nan")
         yield Check(f"equilibrium.{phase.name}", True, nan, 0.0, "1", text, where, Basis.UNPROVEN)
         return
-    mass = weigh(prepared.motion)
-    proofs = [_prove(prepared.motion, phase, region, mass) for region in phase.regions]
+    proofs = _prove_regions(prepared.motion, phase)
     yield _equilibrium_check(prepared, phase, proofs)
+    path = MassPath(prepared, settings.rounding)
+    stretches = [replace(phase, first=region.first, last=region.last) for region in phase.regions]
     extremes = [
-        _bound_outside(prepared, phase, region, margin_m, shift, settings)
-        for region, (_, shift) in zip(phase.regions, proofs, strict=True)
+        _bound_outside(path, PhaseProof(prepared, stretch, settings), region, margin_m, shift)
+        for stretch, region, (_, shift) in zip(stretches, phase.regions, proofs, strict=True)
     ]
     # Each extreme is relative to the margin of its own stretch, so that stretches can be compared.
     worst = max(extremes, key=lambda extreme: (not extreme.is_proven, extreme.bound))
     proof = PhaseProof(prepared, phase, settings)
-    point = MassPath(prepared, settings.rounding).at(np.array([worst.s]))[0]
+    point = path.at(np.array([worst.s]))[0]
     place = f"the region that the {'loaded feet' if phase.loads else 'contacts'} hold during {phase.name}"
     text = f"the centre of mass stays {-1e3 * worst.bound:.1f} mm inside {place}"
     failure = f"the centre of mass is {describe_inside(-worst.sampled)} {place}"
@@ -162,20 +163,22 @@ def weigh(motion: Motion) -> float:
     return float(sum(model.inertias[j].mass for j in range(1, model.njoints) if j not in apart))
 
 
-def _prove(motion: Motion, phase: Phase, region: LoadedRegion, mass: float) -> tuple[EquilibriumProof, float]:
-    """Prove one region; return also the part of the margin that drifting feet and hands take off [m]."""
-    contacts = phase.contacts
-    recorded = RecordedRegion(*Ground.under(contacts), region.wrenches, region.vertices, region.witnesses)
-    loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
+def _prove_regions(motion: Motion, phase: Phase) -> list[tuple[EquilibriumProof, float]]:
+    """Prove all regions; return with each the part of the margin that drifting feet and hands take off [m]."""
+    contacts, mass = phase.contacts, weigh(motion)
     feet_drift = max((contact.tolerance_m for contact in contacts), default=0.0)
     # The feet's horizontal forces are at least the hands', so their drift covers the yaw moment of the hands' drift.
     drifting = list_drifting(phase.loads)
-    hand_drift = max((load.drift_m for load in drifting), default=0.0)
-    drift = feet_drift + hand_drift
-    tilts = find_tilts(contacts)
-    proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilts)
+    drift = feet_drift + max((load.drift_m for load in drifting), default=0.0)
     hands = sum(float(np.linalg.norm(load.force)) * load.drift_m for load in drifting) / (mass * GRAVITY)
-    return proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0
+    ground, tilts = Ground.under(contacts), find_tilts(contacts)
+    proofs = list[tuple[EquilibriumProof, float]]()
+    for region in phase.regions:
+        recorded = RecordedRegion(*ground, region.wrenches, region.vertices, region.witnesses)
+        loads = list_load_wrenches(motion, phase.loads, region.first, region.last)
+        proof = prove_equilibrium(recorded, mass, loads, GRAVITY, drift_m=drift, tilt_rad=tilts)
+        proofs.append((proof, proof.shift_m * feet_drift / drift + hands if drift > 0.0 else 0.0))
+    return proofs
 
 
 def _equilibrium_check(prepared: PreparedMotion, phase: Phase, proofs: list[tuple[EquilibriumProof, float]]) -> Check:
@@ -192,21 +195,11 @@ def _equilibrium_check(prepared: PreparedMotion, phase: Phase, proofs: list[tupl
     return Check(f"equilibrium.{phase.name}", not refuted, worst, 1e-2, "N, Nm", text, where, Basis.PROOF)
 
 
-def _bound_outside(
-    prepared: PreparedMotion,
-    phase: Phase,
-    region: LoadedRegion,
-    margin_m: float,
-    shift_m: float,
-    settings: VerifySettings,
-) -> Extreme:
+def _bound_outside(path: MassPath, proof: PhaseProof, region: LoadedRegion, margin_m: float, shift_m: float) -> Extreme:
     """Bound how far the centre of mass is outside a region on its stretch, less what drift takes off the margin [m]."""
-    part = replace(phase, first=region.first, last=region.last)
-    path = MassPath(prepared, settings.rounding)
-    proof = PhaseProof(prepared, part, settings)
 
     def outside(s: np.ndarray) -> np.ndarray:
         return outside_polygon(region.vertices, path.at(s)[:, :2])
 
-    extreme = proof.bound_convex(outside, path.deviation, -(margin_m + shift_m), settings.resolution_m)
+    extreme = proof.bound_convex(outside, path.deviation, -(margin_m + shift_m), proof.settings.resolution_m)
     return Extreme(extreme.bound + shift_m, extreme.sampled + shift_m, extreme.s, extreme.is_proven)

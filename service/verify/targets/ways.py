@@ -23,7 +23,8 @@ from service.verify.rounding import round_up
 from service.verify.targets.pose_errors import angle_of, chord_of, measure_angle
 from service.verify.timeline import edges_within, find_time, find_times
 
-BACK_M, BACK_RAD = 1e-3, 0.01  # by which a frame may move back on its way between two knots
+BACK_M, BACK_RAD = 1e-3, 0.01  # by which a frame may be behind the farthest place that it has reached on its way
+PARTS = 8  # of an interval between knots, at whose ends is seen whether a frame moves back
 LEAST_SAMPLES = 50  # of the speed along a way
 CUBIC, QUINTIC = "cubic", "quintic"
 
@@ -137,22 +138,30 @@ def check_way(proof: PhaseProof, target: WayTarget) -> Iterator[Check]:
 
 
 def _check_progress(proof: PhaseProof, progress: _Progress, name: str) -> Check:
-    """Check that a frame begins at the beginning of its way, ends at its end, and does not move back between."""
+    """Check that a frame begins at the beginning of its way, ends at its end, and does not move back between.
+
+    The retreat is seen at samples; it counts as a miss of the ends does, in proportion to what each may be.
+    """
     guide, target = progress.guide, progress.target
-    edges, shares = progress.knots
+    edges, _ = progress.knots
+    s = np.append(np.linspace(edges[:-1], edges[1:], PARTS, endpoint=False, axis=1).ravel(), edges[-1])
+    shares = progress.measure(s)[0]
     has_length = guide.length > SHORTEST_M
     scale = guide.length if has_length else guide.turned
     unit, limit = ("m", target.tolerance_m) if has_length else ("rad", target.rotation_tolerance_rad)
-    back = BACK_M if has_length else BACK_RAD
-    returns = np.maximum(-np.diff(shares), 0.0) * scale * (limit / back)
-    misses = np.concatenate([[abs(shares[0]) * scale], returns[:-1], [abs(shares[-1] - 1.0) * scale]])
-    worst = int(misses.argmax())
-    extreme = Extreme.at_one_pose(float(misses[worst]), float(edges[worst]), limit)
-    done, during = 100.0 * shares[-1], proof.phase.name
+    behind = (np.maximum.accumulate(shares) - shares) * scale
+    misses = np.where(behind > 0.0, behind * (limit / (BACK_M if has_length else BACK_RAD)), 0.0)
+    ends = np.array([abs(shares[0]), abs(shares[-1] - 1.0)]) * scale
+    is_back = bool(misses.max() > ends.max())
+    worst = int(misses.argmax()) if is_back else -int(ends.argmax())
+    value = max(float(misses.max()), float(ends.max()))
+    extreme = Extreme.at_one_pose(value, float(s[worst]), limit)
+    during = proof.phase.name
     text = f"{target.frame} moves along its whole way during {during}"
-    failure = f"{target.frame} does {done:.1f} % of its way during {during}"
-    if 0 < worst < len(misses) - 1:
-        failure = f"{target.frame} moves back on its way during {during}"
+    failure = f"{target.frame} does {100.0 * shares[-1]:.1f} % of its way during {during}"
+    if is_back:
+        most = f"{1e3 * behind.max():.1f} mm" if has_length else f"{np.rad2deg(behind.max()):.2f} deg"
+        failure = f"{target.frame} moves back by {most} on its way during {during}"
     return proof.check(f"{name}.progress", extreme, limit, unit, text, None, names=(target.frame,), failure=failure)
 
 
