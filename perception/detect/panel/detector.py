@@ -258,7 +258,7 @@ def _as_detection(
     for i, disc in enumerate(sorted(buttons, key=lambda disc: (-disc.centre[1], disc.centre[0]))):
         x, y = disc.centre - middle
         sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y)}
-        sizes |= {f"button_{i}_radius": disc.radius, f"button_{i}_height": disc.height}
+        sizes |= {f"button_{i}_radius": disc.radius, f"button_{i}_height": disc.front}
     n_seen = sum(edges.seen)
     confidence = (
         rising(float(n_seen), *_EDGES_SEEN[is_hinted])
