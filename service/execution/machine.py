@@ -109,6 +109,7 @@ class MachineState:
         reason: why it paused, waits or was aborted; empty while it runs.
         returns: whether it was paused on its way back after an abort.
         frees: whether a hand presses too hard, and goes back until it no longer does.
+        retreats: whether the way back was ordered, and nothing was wrong.
     """
 
     mode: Mode = Mode.RUNNING
@@ -120,6 +121,7 @@ class MachineState:
     reason: str = ""
     returns: bool = False
     frees: bool = False
+    retreats: bool = False
 
     @property
     def is_over(self) -> bool:
@@ -175,14 +177,14 @@ class ExecutionMachine:
     def _react(self, state: MachineState, findings: Sequence[Finding]) -> MachineState:
         """Return the state after the gravest finding.
 
-        The way back is left for nothing but a fall, and a hold for nothing but a hand that presses too hard: it stays
-        where it is then no longer.  A hand that is aborted for that goes on back until it no longer presses too hard.
+        The way back is left for nothing but a fall, unless it was ordered, and a hold for nothing but a hand that
+        presses too hard: it stays where it is then no longer, and goes back until it no longer presses too hard.
         """
         worst = {finding.severity: finding for finding in reversed(findings)}
         if Severity.STOP in worst:
             return replace(state, mode=Mode.FALLEN, rate=0.0, reason=worst[Severity.STOP].sentence)
         presses = next((f for f in findings if f.severity is Severity.ABORT and f.is_load), None)
-        if state.mode is Mode.RETURNING:
+        if state.mode is Mode.RETURNING and not (state.retreats and Severity.HOLD in worst):
             return self._free(state) if presses is not None else replace(state, frees=state.frees and state.rate >= 0.0)
         if state.mode is Mode.HOLDING and presses is None:
             return state
@@ -240,7 +242,9 @@ class ExecutionMachine:
                 return state
             goal = min(goal, state.goal_s) if state.returns or state.mode is Mode.RETURNING else goal
             reason = "retreats by the operator's order"
-            return replace(state, mode=Mode.RETURNING, returns=False, frees=False, goal_s=goal, reason=reason)
+            is_sound = state.retreats or not (state.returns or state.mode is Mode.RETURNING)
+            state = replace(state, frees=False, retreats=is_sound, goal_s=goal, reason=reason)
+            return replace(state, mode=Mode.RETURNING, returns=False)
         if state.returns:  # resumed or aborted: the way back goes on
             return replace(state, mode=Mode.RETURNING, returns=False)
         if state.mode is Mode.RETURNING:

@@ -317,6 +317,10 @@ def test_a_retreat_goes_back_to_the_rest_of_its_phase_and_is_refused_where_none_
             assert states[-1].mode is Mode.ABORTED
             assert states[-1].time_s == pytest.approx(goal, abs=2e-3)
             check_smooth(states, machine.settings)
+    hold = Finding(Severity.HOLD, "r_arm", 0.0, 0.0, "an encoder has failed")
+    states = run(machine, {0.8: Order.RETREAT}, lambda state: (hold,) if state.rate < -0.3 else ())
+    assert (states[-1].mode, states[-1].reason) == (Mode.ABORTED, "an encoder has failed")
+    assert states[-1].time_s > 0.2
     pressing = MachineState(time_s=1.4, phase=1, rate=1.0)
     with pytest.raises(ExecutionError, match="retreat: in 'phase 1' hands press"):
         machine.check_order(pressing, Order.RETREAT)
