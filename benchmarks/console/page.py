@@ -169,7 +169,7 @@ class Drive:
         task: its tab.
         scan: file.
         at: point that the operator clicks on, in the world [m].
-        working: beginning of the phase in which the robot moves the object.
+        working: in the name of the phase in which the robot moves the object.
     """
 
     task: str
@@ -180,7 +180,7 @@ class Drive:
 
 VALVE = Drive("valve", "valve_scan.pcd", (0.68, 0.24, 1.1), "turn")  # the rim
 DOOR = Drive("door", "door_scan.pcd", (0.72, -0.36, 1.02), "open")  # the lever
-BUTTON = Drive("button", "panel_scan.pcd", (0.62, 0.2, 1.16), "press")
+BUTTON = Drive("button", "panel_scan.pcd", (0.62, 0.2, 1.16), "press: move")
 PANEL = Panel((0.645, 0.2, 1.1))  # the button that is clicked on is the upper one of two
 
 
@@ -226,7 +226,7 @@ def drive_task(seat: Seat, drive: Drive) -> tuple[float, int, str]:
     )
     click(browser, ".buttons .yes", "Execute", until=f"['running', 'loading'].includes({VIEWER}.robot.mode)")
     ended = f"['done', 'fallen', 'aborted'].includes({VIEWER}.robot.mode)"
-    wait(browser, f"{VIEWER}.robot.phase.startsWith('{drive.working}') || {ended}")
+    wait(browser, f"{VIEWER}.robot.phase.includes('{drive.working}') || {ended}")
     seconds = time.monotonic() - begun
     seat.look(f"{drive.task}-drive")
     wait(browser, ended)
