@@ -1,8 +1,8 @@
 """The operator's page in a real browser: ``python -m benchmarks.console.page [--part NAME] [--samples N]``.
 
 Each part starts a server with a simulated robot, its console and a headless Chromium (that of the tests): ``pose``,
-bytes of an update; ``watch``, time from a change at the robot to the page; ``valve``, turned from its scan by a script;
-``sessions`` of random clicks and keys. Times are of the wall clock; state the machine's load with them.
+bytes of an update; ``watch``, time from a change at the robot to the page; ``valve``, ``door``, ``button``, moved from
+their scans by a script; ``sessions`` of random clicks and keys. Times are of the wall clock.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import shutil
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -23,6 +25,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tables import print_table
+from perception import write_pcd
+from perception.simulate import Pose, Room, Scanner, scan
+from perception.simulate.scenes.fixtures import Panel
 from service.client import PlannerClient
 from service.proto.planner.v1 import execution_pb2 as wire
 from service.request.file import parse_request
@@ -110,10 +115,13 @@ class Seat:
 
 
 @contextmanager
-def open_seat(scans: Path, pictures: Path | None) -> Iterator[Seat]:
+def open_seat(pictures: Path | None) -> Iterator[Seat]:
     """A server, its console and a browser, ended afterwards."""
     with tempfile.TemporaryDirectory(prefix="scopt-bench-") as scratch:
         folder = Path(scratch)
+        scans = folder / "scans"
+        shutil.copytree(ROOT / "examples" / "data", scans, ignore=shutil.ignore_patterns("*.json"))
+        write_panel_scan(scans)
         with (
             planner_server(folder / "data", "--robot", "sim") as server,
             console_of(server.address, scans) as url,
@@ -153,39 +161,77 @@ def measure_bytes(browser: Browser, event: str) -> list[int]:
     return [len(frame) for frame in frames if f'"event":"{event}"' in frame.replace(" ", "")[:40]]
 
 
-def turn_valve(browser: Browser, url: str, look: Callable[[str], None]) -> tuple[float, int]:
-    """Turn the valve of the shipped scan through the page; return seconds until it turns, and clicks until accepted."""
-    browser.open(url)
+@dataclass(frozen=True)
+class Drive:
+    """One task, from its scan to its end, through the page.
+
+    Attributes:
+        task: its tab.
+        scan: file.
+        at: point that the operator clicks on, in the world [m].
+        working: in the name of the phase in which the robot moves the object.
+    """
+
+    task: str
+    scan: str
+    at: tuple[float, float, float]
+    working: str
+
+
+VALVE = Drive("valve", "valve_scan.pcd", (0.68, 0.24, 1.1), "turn")  # the rim
+DOOR = Drive("door", "door_scan.pcd", (0.72, -0.36, 1.02), "open")  # the lever
+BUTTON = Drive("button", "panel_scan.pcd", (0.62, 0.2, 1.16), "press: move")
+PANEL = Panel((0.645, 0.2, 1.1))  # the button that is clicked on is the upper one of two
+
+
+def write_panel_scan(folder: Path) -> None:
+    """Write the scan of a panel with two buttons on a wall, seen from the robot's head."""
+    room = Room(wall_x=PANEL.centre[0] + PANEL.depth)
+    head = Pose((0.12, 0.0, 1.6), pitch=0.3)
+    cloud = scan([*room.meshes([]), *PANEL.build().meshes], head, Scanner(n_lines=84), seed=7)
+    near = cloud.points[np.linalg.norm(cloud.points, axis=1) < 4.0]
+    write_pcd(folder / BUTTON.scan, np.round(near, 4), head.viewpoint)
+
+
+def drive_task(seat: Seat, drive: Drive) -> tuple[float, int, str]:
+    """Carry out a task through the page.
+
+    Returns:
+        Seconds until the robot moves the object, clicks until the plan is accepted, and the mode at the end.
+    """
+    browser = seat.browser
+    browser.open(seat.url)
     wait(browser, f"{VIEWER}.state === 'open'")
-    begun = time.monotonic()
-    browser.run("localStorage.setItem('scopt-console-scan', 'valve_scan.pcd')")
-    click(browser, ".tabs button", "valve")
+    begun, clicks = time.monotonic(), 0
+    browser.run(f"localStorage.setItem('scopt-console-scan', '{drive.scan}')")
+    click(browser, ".tabs button", drive.task)
     wait(browser, f"{VIEWER}.hasScan && !{VIEWER}.busy")
-    look("scan")
-    x, y = browser.run(f"{VIEWER}.project([0.68, 0.24, 1.1])")
+    seat.look(f"{drive.task}-scan")
+    x, y = browser.run(f"{VIEWER}.project({list(drive.at)})")
     for kind in ("mousePressed", "mouseReleased"):
         browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
     wait(browser, "document.querySelector('.moving input') !== null")
-    look("fit")
-    click(browser, ".panel .yes", "Plan")
-    wait(browser, "document.querySelector('.judge .yes') !== null")
-    click(browser, ".judge .yes", "Accept")
+    clicks += 1
+    seat.look(f"{drive.task}-fit")
+    for selector, text in ((".panel .yes", "Plan"), (".judge .yes", "Accept")):
+        wait(browser, f"document.querySelector('{selector}') !== null")
+        click(browser, selector, text)
+        clicks += 1
     wait(browser, "document.querySelector('.panel .said').textContent.startsWith('accepted')")
-    look("plan")
+    seat.look(f"{drive.task}-plan")
     click(browser, ".robot-strip button", "Take control", until=f"{VIEWER}.robot.has_control")
     browser.run(
         "[...document.querySelectorAll('.placed')].find((e) => e.textContent.includes('simulated'))"
         ".querySelector('input').click()"
     )
     click(browser, ".buttons .yes", "Execute", until=f"['running', 'loading'].includes({VIEWER}.robot.mode)")
-    wait(browser, f"{VIEWER}.robot.phase === 'turn' || ['done', 'fallen', 'aborted'].includes({VIEWER}.robot.mode)")
+    ended = f"['done', 'fallen', 'aborted'].includes({VIEWER}.robot.mode)"
+    wait(browser, f"{VIEWER}.robot.phase.includes('{drive.working}') || {ended}")
     seconds = time.monotonic() - begun
-    for k in range(4):
-        look(f"drive{k}")
-        time.sleep(1.5)
-    wait(browser, f"['done', 'fallen', 'aborted'].includes({VIEWER}.robot.mode)")
-    look("end")
-    return seconds, 3  # the object, Plan, Accept
+    seat.look(f"{drive.task}-drive")
+    wait(browser, ended)
+    seat.look(f"{drive.task}-end")
+    return seconds, clicks, str(browser.run(f"{VIEWER}.robot.mode"))
 
 
 def act_at_random(browser: Browser, url: str, seed: int) -> int:
@@ -236,10 +282,19 @@ def measure_watch(seat: Seat, n_samples: int) -> list[Row]:
     return [["change at the robot to the page [ms]", f"{np.median(times):.0f}", f"p95 {np.percentile(times, 95):.0f}"]]
 
 
-def measure_valve(seat: Seat, n_samples: int) -> list[Row]:
-    """The valve from its scan to its turn."""
-    seconds, clicks = turn_valve(seat.browser, seat.url, seat.look)
-    return [["valve from its scan to its turn [s]", f"{seconds:.1f}", f"{clicks} clicks to an approved plan"]]
+def measure_drive(drive: Drive, seat: Seat, n_samples: int) -> list[Row]:
+    """A task from its scan to its end."""
+    seconds, clicks, mode = drive_task(seat, drive)
+    if mode != "done":
+        seat.failures.append(drive.task)
+    return [
+        [
+            f"{drive.task}, from its scan to where the object moves [s]",
+            f"{seconds:.1f}",
+            f"{clicks} clicks to an approved plan",
+        ],
+        ["its end", mode, ""],
+    ]
 
 
 def measure_sessions(seat: Seat, n_samples: int) -> list[Row]:
@@ -263,24 +318,27 @@ def measure_sessions(seat: Seat, n_samples: int) -> list[Row]:
 
 
 PARTS: dict[str, tuple[Callable[[Seat, int], list[Row]], int]] = {
-    "pose": (measure_pose, 1), "watch": (measure_watch, 20), "valve": (measure_valve, 1),
+    "pose": (measure_pose, 1), "watch": (measure_watch, 20),
+    **{drive.task: (partial(measure_drive, drive), 1) for drive in (VALVE, DOOR, BUTTON)},
     "sessions": (measure_sessions, 20),
 }  # fmt: skip
 
 
 def main() -> int:
-    """Print the table of each part; 1 if a random session had the robot do what it must not."""
+    """Print the table of each part; 1 if the robot did what it must not, or left a task undone."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", action="append", choices=list(PARTS), help="by default all; repeatable")
     parser.add_argument("--samples", type=int, help="of changes, or of sessions")
     parser.add_argument("--seconds", type=float, default=600.0, help="after which no further session begins")
     parser.add_argument("--seed", type=int, default=0, help="of the first session")
-    parser.add_argument("--pictures", type=Path, help="folder for pictures of the valve's drive")
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of the tasks")
     options = parser.parse_args()
     failures: list[str] = []
+    if options.pictures is not None:
+        options.pictures.mkdir(parents=True, exist_ok=True)
     for name in options.part or PARTS:
         measure, usual = PARTS[name]
-        with open_seat(ROOT / "examples" / "data", options.pictures) as seat:
+        with open_seat(options.pictures) as seat:
             seat.seconds, seat.seed = options.seconds, options.seed
             print_table(f"The operator's page: {name}", ("", "", ""), measure(seat, options.samples or usual))
             sys.stdout.flush()

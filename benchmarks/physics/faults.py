@@ -113,8 +113,7 @@ class Stage:
     def run(self, fault: Fault, moment: float) -> Run:
         """Carry out the plan around a moment at which a fault begins."""
         began, reference = time.process_time(), self.reference
-        begin = max(moment - BEFORE_S, 0.0)
-
+        begin = self._find_begin(moment)
         options = SimulationOptions(noise=1.0, hand_friction=self.request.options.hand_friction[0])
         motion = self._lower(moment) if fault.name.startswith("ground") else reference.motion
         model = build_physics(motion, read_mechanism_physics(self.request), options, self.stiffness)
@@ -130,6 +129,7 @@ class Stage:
             if np.isinf(faulty.at_s) and execution.state.time_s >= moment - 1e-9:
                 faulty.at_s = robot.time_s + robot.period_s
             if np.isinf(faulty.at_s) and execution.state.is_over:
+                caps.exceeded = "ended before the fault"
                 break
             cycle = execution.step()
             robot.hold_grips(reference.find_phase_number(cycle.state.time_s))
@@ -147,6 +147,17 @@ class Stage:
             self.name, fault.name, moment, fell, caps.exceeded, state.mode.value, state.reason, tuple(names), is_named,
             after, time.process_time() - began,
         )  # fmt: skip
+
+    def _find_begin(self, moment: float) -> float:
+        """Return when to begin for a fault at a moment [s]: at rest, before hands press on anything.
+
+        A robot that is put into a push has not settled on its servos, and its arms seem to press with 50 N.
+        """
+        phases, begin = self.reference.phases, max(moment - BEFORE_S, 0.0)
+        k = first = self.reference.find_phase_number(begin)
+        while k > 0 and phases[k].loads:
+            k -= 1
+        return begin if k == first else max(phases[k].end_s - BEFORE_S, phases[k].begin_s)
 
     def _lower(self, moment: float) -> Motion:
         """Return the motion with all surfaces lower that are touched for the first time after a moment."""

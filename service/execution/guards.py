@@ -132,6 +132,9 @@ class Guards:
         slow = {tool: (1.0 - share) * self.slow.get(tool, force) + share * force for tool, force in hands.items()}
         over = {**self._check_contacts(phase, contacts, expected), **self._check_loads(phase, hands, slow)}
         exceeded = {key: self.exceeded_s.get(key, 0.0) + period_s for key in over}
+        for tool, kind in over:
+            if kind == "soon" and exceeded[tool, kind] > TREND_S:  # presses too hard until it is below its threshold
+                exceeded[tool, "load"] = max(exceeded[tool, "load"], self.settings.hold_s)
         findings = [
             f for key, f in over.items() if exceeded[key] > (TREND_S if key[1] == "soon" else self.settings.hold_s)
         ]

@@ -16,6 +16,8 @@ from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.guards import Finding, Severity
 
+FREE_S = 0.1  # of the plan's clock by which a hand goes on back while it presses too hard
+
 
 class Mode(Enum):
     """What an execution does."""
@@ -37,6 +39,7 @@ class Order(Enum):
     RESUME = "resume"
     ABORT = "abort"  # back to the last pose in balance
     STOP = "stop"  # to rest where it is, for good
+    RETREAT = "retreat"  # back to where the plan began, or where the hands were free and the robot rested last
 
 
 class TimedPhase(Protocol):
@@ -54,6 +57,9 @@ class TimedPhase(Protocol):
     @property
     def rests(self) -> bool: ...
 
+    @property
+    def retreat_s(self) -> float | None: ...
+
 
 @dataclass(frozen=True)
 class MachineSettings:
@@ -63,6 +69,7 @@ class MachineSettings:
         speed: of the plan's clock while it runs, share of real time.
         return_speed: the same on the way back after an abort.
         ramp_s: time in which the clock comes to full speed or to rest [s].
+        load_ramp_s: the same of coming to rest when a hand presses too hard [s].
         wait_s: longest wait for what a phase needs before the execution is aborted [s].
         margin_m: balance margin of the pose that an abort returns to [m].
         slow_share: of both speeds while a guard asks to go slowly.
@@ -71,6 +78,7 @@ class MachineSettings:
     speed: float = 1.0
     return_speed: float = 0.5
     ramp_s: float = 0.3
+    load_ramp_s: float = 0.1
     wait_s: float = 3.0
     margin_m: float = 0.03
     slow_share: float = 0.3
@@ -78,8 +86,11 @@ class MachineSettings:
     def __post_init__(self) -> None:
         if not (0.01 <= self.speed <= 1.0 and 0.01 <= self.return_speed <= 1.0):
             raise ExecutionError(f"speed {self.speed:g}, return_speed {self.return_speed:g}; expected 0.01 to 1")
-        if not (self.ramp_s > 0.0 and self.wait_s >= 0.0):
-            raise ExecutionError(f"ramp_s {self.ramp_s:g}, wait_s {self.wait_s:g}; expected a positive ramp and wait")
+        if not (min(self.ramp_s, self.load_ramp_s) > 0.0 and self.wait_s >= 0.0):
+            raise ExecutionError(
+                f"ramp_s {self.ramp_s:g}, load_ramp_s {self.load_ramp_s:g}, wait_s {self.wait_s:g}; expected positive "
+                "ramps and a wait of 0 or more"
+            )
         if not 0.0 < self.slow_share <= 1.0:
             raise ExecutionError(f"slow_share {self.slow_share:g}; expected above 0, at most 1")
 
@@ -97,6 +108,8 @@ class MachineState:
         goal_s: time that an abort returns to [s].
         reason: why it paused, waits or was aborted; empty while it runs.
         returns: whether it was paused on its way back after an abort.
+        frees: whether a hand presses too hard, and goes back until it no longer does.
+        retreats: whether the way back was ordered, and nothing was wrong.
     """
 
     mode: Mode = Mode.RUNNING
@@ -107,6 +120,8 @@ class MachineState:
     goal_s: float = 0.0
     reason: str = ""
     returns: bool = False
+    frees: bool = False
+    retreats: bool = False
 
     @property
     def is_over(self) -> bool:
@@ -162,34 +177,55 @@ class ExecutionMachine:
     def _react(self, state: MachineState, findings: Sequence[Finding]) -> MachineState:
         """Return the state after the gravest finding.
 
-        The way back is left for nothing but a fall, and a hold for nothing but a hand that presses too hard: it stays
-        where it is then no longer.
+        The way back is left for nothing but a fall, unless it was ordered, and a hold for nothing but a hand that
+        presses too hard: it stays where it is then no longer, and goes back until it no longer presses too hard.
         """
         worst = {finding.severity: finding for finding in reversed(findings)}
         if Severity.STOP in worst:
             return replace(state, mode=Mode.FALLEN, rate=0.0, reason=worst[Severity.STOP].sentence)
         presses = next((f for f in findings if f.severity is Severity.ABORT and f.is_load), None)
-        if state.mode is Mode.RETURNING or (state.mode is Mode.HOLDING and presses is None):
+        if state.mode is Mode.RETURNING and not (state.retreats and Severity.HOLD in worst):
+            return self._free(state) if presses is not None else replace(state, frees=state.frees and state.rate >= 0.0)
+        if state.mode is Mode.HOLDING and presses is None:
             return state
         if state.mode is not Mode.HOLDING and Severity.HOLD in worst:
             return replace(state, mode=Mode.HOLDING, returns=False, reason=worst[Severity.HOLD].sentence)
         if Severity.ABORT in worst and not state.returns:
             lost = [finding.link for finding in findings if finding.is_lost]
-            return self._abort(state, (presses or worst[Severity.ABORT]).sentence, lost)
+            state = self._abort(
+                replace(state, frees=presses is not None), (presses or worst[Severity.ABORT]).sentence, lost
+            )
+            return self._free(state)
         return state
+
+    def _free(self, state: MachineState) -> MachineState:
+        """Return a state whose way back goes on while a hand presses too hard, at most to the last rest."""
+        if not state.frees:
+            return state
+        k = state.phase
+        while k > 0 and not self.phases[k - 1].rests:
+            k -= 1
+        goal = max(state.time_s - FREE_S, self.phases[k].begin_s)
+        return replace(state, goal_s=min(state.goal_s, goal))
 
     def check_order(self, state: MachineState, order: Order) -> None:
         """Refuse an order that makes no sense in the present mode.
 
         Raises:
-            ExecutionError: the execution is over, or was aborted; it can be paused and stopped on its way back, too.
+            ExecutionError: the execution is over, or was aborted; it can be paused and stopped on its way back, too. Or
+                no way back is known to be free.
         """
         if state.is_over:
             raise ExecutionError(f"{order.value}: the execution is {state.mode.value}; plan again to go on")
-        if state.mode is Mode.RETURNING and order not in (Order.PAUSE, Order.STOP):
+        if state.mode is Mode.RETURNING and order not in (Order.PAUSE, Order.STOP, Order.RETREAT):
             raise ExecutionError(f"{order.value}: the execution was aborted and returns to its last pose in balance")
         if state.mode is Mode.HOLDING:
             raise ExecutionError(f"{order.value}: the execution comes to rest for good, since {state.reason}")
+        if order is Order.RETREAT and self.phases[state.phase].retreat_s is None:
+            raise ExecutionError(
+                f"retreat: in '{self.phases[state.phase].name}' hands press on something, or have just let it go, or a "
+                "foot has just moved, so that no way back is known to be free; give abort, or resume"
+            )
 
     def _obey(self, state: MachineState, order: Order | None) -> MachineState:
         if order is None or state.is_over or state.mode is Mode.HOLDING:
@@ -200,6 +236,15 @@ class ExecutionMachine:
             returns = state.returns or state.mode is Mode.RETURNING
             reason = state.reason if returns else "paused by the operator"
             return replace(state, mode=Mode.PAUSED, reason=reason, waited_s=0.0, returns=returns)
+        if order is Order.RETREAT:
+            goal = self.phases[state.phase].retreat_s
+            if goal is None:
+                return state
+            goal = min(goal, state.goal_s) if state.returns or state.mode is Mode.RETURNING else goal
+            reason = "retreats by the operator's order"
+            is_sound = state.retreats or not (state.returns or state.mode is Mode.RETURNING)
+            state = replace(state, frees=False, retreats=is_sound, goal_s=goal, reason=reason)
+            return replace(state, mode=Mode.RETURNING, returns=False)
         if state.returns:  # resumed or aborted: the way back goes on
             return replace(state, mode=Mode.RETURNING, returns=False)
         if state.mode is Mode.RETURNING:
@@ -211,7 +256,7 @@ class ExecutionMachine:
     def _abort(self, state: MachineState, reason: str, lost: Sequence[str]) -> MachineState:
         """Return the state on its way to the last pose in balance, counted from where the clock can come to rest."""
         speed, rate = self.settings.speed, max(state.rate, 0.0)
-        rest = (max(rate - speed, 0.0) + 0.5 * min(rate, speed) ** 2 / speed) * self.settings.ramp_s
+        rest = (max(rate - speed, 0.0) + 0.5 * min(rate, speed) ** 2 / speed) * self._find_ramp(state)
         goal = min(state.time_s + rest, self._find_rest(state.phase))
         if self.balance is not None:
             goal = self.balance.find_last(goal, lost, self.settings.margin_m)
@@ -260,7 +305,7 @@ class ExecutionMachine:
         wanted = -min(
             slow * settings.return_speed, float(np.sqrt(slope * max(left, 0.0))), 10.0 * slope * max(left, 0.0)
         )
-        rate = self._approach(state.rate, wanted, period_s)
+        rate = self._approach(state.rate, wanted, period_s, self._find_ramp(state))
         time = max(state.time_s + rate * period_s, state.goal_s) if rate < 0.0 else state.time_s + rate * period_s
         time = min(time, self._find_rest(state.phase))  # what the next phase needs may be missing
         if rate <= 0.0 and time - state.goal_s <= 1e-4:
@@ -278,10 +323,14 @@ class ExecutionMachine:
             phase -= 1
         return phase
 
-    def _approach(self, rate: float, wanted: float, period_s: float) -> float:
+    def _find_ramp(self, state: MachineState) -> float:
+        """Return the time in which the clock comes to rest from full speed [s]."""
+        return self.settings.load_ramp_s if state.frees and state.rate > 0.0 else self.settings.ramp_s
+
+    def _approach(self, rate: float, wanted: float, period_s: float, ramp_s: float | None = None) -> float:
         """Return the clock's rate one cycle later: towards the wanted one, to full speed in the ramp's time.
 
         A clock that runs faster than the full speed, since that was lowered, slows down as fast.
         """
-        step = max(self.settings.speed, abs(rate)) / self.settings.ramp_s * period_s
+        step = max(self.settings.speed, abs(rate)) / (ramp_s or self.settings.ramp_s) * period_s
         return rate + float(np.clip(wanted - rate, -step, step))

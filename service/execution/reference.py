@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +45,9 @@ class ReferencePhase:
         contacts: links planted throughout, with their poses and points.
         loads: forces of the hands on the mechanism, one entry per tool.
         rests: whether the robot rests at its end; otherwise it goes on through the border on the same contacts.
+        retreat_s: the earliest rest that the robot can go back to with its contacts and all that it holds as they are,
+            pressing on nothing: the plan's start, or the first rest since something of that changed [s]; None if there
+            is none, since the pose of the change itself is still at what was touched.
     """
 
     name: str
@@ -53,6 +56,7 @@ class ReferencePhase:
     contacts: tuple[PlantedContact, ...]
     loads: tuple[LoadLimits, ...]
     rests: bool = True
+    retreat_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -112,9 +116,8 @@ class PlannedReference:
         self.duration_s = float(law.times[-1] - law.times[0])
         self._start_s = float(law.times[0])
         self._parts = split_motion(motion)
-        self.phases: tuple[ReferencePhase, ...] = tuple(
-            self._read_phase(part, phase) for part, phase in zip(self._parts, self._planned, strict=True)
-        )
+        parts = zip(self._parts, self._planned, strict=True)
+        self.phases = find_retreats(self._planned, [self._read_phase(part, phase) for part, phase in parts])
         self._grid = np.linspace(0.0, self.duration_s, max(int(np.ceil(self.duration_s / TABLE_STEP_S)), 1) + 1)
         path, speed, _ = law.at(self._grid + self._start_s)
         q, v = motion.curve(path), motion.curve(path, 1) * speed[:, None]
@@ -261,6 +264,27 @@ def place_base(q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "4 4"]:
     ]
     pose[:3, 3] = q[:3]
     return pose
+
+
+def find_retreats(planned: Sequence[Phase], phases: Sequence[ReferencePhase]) -> tuple[ReferencePhase, ...]:
+    """Return the phases of a plan with the rests that the robot can go back to from each."""
+    found: list[ReferencePhase] = []
+    rest: float | None = 0.0
+    for k, (phase, own) in enumerate(zip(planned, phases, strict=True)):
+        if k and _list_touches(phase) != _list_touches(planned[k - 1]):
+            rest = None
+        elif k and rest is None and phases[k - 1].rests:
+            rest = phases[k - 1].end_s
+        if phase.loads:
+            rest = None
+        found.append(replace(own, retreat_s=rest))
+    return tuple(found)
+
+
+def _list_touches(phase: Phase) -> tuple[list[str], list[str], bool]:
+    """Return what the robot stands on, what it holds and with what, and whether it presses on a mechanism."""
+    contacts = sorted(f"{own.link} {np.round(own.pose_world_link[:3, 3], 3).tolist()}" for own in phase.contacts)
+    return contacts, sorted(f"{own.item} {own.link}" for own in phase.carriers), bool(phase.loads)
 
 
 def check_executable(motion: Motion) -> TimeLaw:

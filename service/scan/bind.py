@@ -44,8 +44,11 @@ def bind_parameters(file: TaskFile, given: Mapping[str, Any], cloud: Path) -> di
 def read_hit(hit: Mapping[str, Any], value: str, field: str) -> Any:
     """Return a value of a detected object: ``centre``, ``x_axis``, ``y_axis``, ``z_axis``, or one of its sizes.
 
+    ``button`` of a panel is the middle of a button's front: of the one next to where the operator clicked, else of its
+    only one.
+
     Raises:
-        RequestError: it has no such value.
+        RequestError: it has no such value, or has several buttons and nobody clicked.
     """
     pose = np.array(hit["pose_world_object"], dtype=float)
     if value == "centre":
@@ -53,7 +56,27 @@ def read_hit(hit: Mapping[str, Any], value: str, field: str) -> Any:
     if value in AXES:
         return [float(own) for own in pose[:3, AXES[value]]]
     sizes = hit["sizes"]
+    if value == "button" and sizes.get("n_buttons"):
+        return _find_button(hit, field)
     if value not in sizes:
         known = would_do(value, ["centre", *AXES, *sizes])
         raise RequestError(f"{field}: a detected {hit['kind']} has no '{value}'; expected {known}")
     return float(sizes[value])
+
+
+def _find_button(hit: Mapping[str, Any], field: str) -> list[float]:
+    """Return the middle of the front of a panel's button [m]."""
+    sizes, pose = hit["sizes"], np.array(hit["pose_world_object"], dtype=float)
+    places = np.array(
+        [
+            [sizes[f"button_{k}_x"], sizes[f"button_{k}_y"], sizes[f"button_{k}_height"]]
+            for k in range(int(sizes["n_buttons"]))
+        ]
+    )
+    fronts = places @ pose[:3, :3].T + pose[:3, 3]
+    clicked = hit.get("clicked")
+    if clicked is None and len(fronts) > 1:
+        listed = "; ".join(", ".join(f"{own:.3f}" for own in front) for front in fronts)
+        raise RequestError(f"{field}: the panel has {len(fronts)} buttons, at {listed}; set it to one of them")
+    off = fronts - np.asarray(fronts[0] if clicked is None else clicked, dtype=float)
+    return [float(own) for own in fronts[int(np.linalg.norm(off, axis=1).argmin())]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ HIT: dict[str, Any] = {
     "hit": 3, "kind": "valve", "searched": "valve", "confidence": 0.9, "sizes": {"outer_radius": 0.13},
     "pose_world_object": [[1, 0, 0, 0.68], [0, 1, 0, 0.12], [0, 0, 1, 1.1], [0, 0, 0, 1]], "moved_m": [0.0, 0.0, 0.0],
 }  # fmt: skip
+BUTTON = {"n_buttons": 1.0, "button_0_x": 0.0, "button_0_y": 0.0, "button_0_radius": 0.02, "button_0_height": 0.0}
 
 
 @pytest.fixture
@@ -39,7 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def session(**hits: Any) -> OperatorSession:
     made = OperatorSession("key", "forgery", None)  # type: ignore[arg-type]
-    made.hits.update({3: HIT, 4: {**HIT, "searched": "panel", "hit": 4}})
+    made.hits.update({3: HIT, 4: {**HIT, "searched": "panel", "sizes": BUTTON, "hit": 4}})
     return made
 
 
@@ -126,6 +128,21 @@ def test_parameters_are_read_off_the_accepted_object_unless_the_operator_sets_th
     assert tuple(press.at) == (0.68, 0.12, 1.1)
     own = PlanOrder(task="button", values={"at": [1, 0, 1]}, robot="atlas", hit=4)
     assert tuple(make_request(session(), (), own).section.steps[0].press.at) == (1, 0, 1)  # type: ignore[attr-defined]
+
+
+def test_of_several_buttons_the_one_that_was_clicked_is_pressed_at_its_front(folder: Path) -> None:
+    opened, order = session(), PlanOrder(task="button", values={}, robot="atlas", hit=5)
+    lower = {"button_1_x": 0.01, "button_1_y": -0.06, "button_1_radius": 0.02, "button_1_height": 0.015}
+    panel = {**opened.hits[4], "hit": 5, "sizes": {**BUTTON, **lower, "n_buttons": 2.0}}
+    opened.hits[5] = {**panel, "clicked": [0.68, 0.08, 1.1]}
+    request = make_request(opened, (), order)
+    assert request.section.steps[0].press.at == pytest.approx((0.69, 0.06, 1.115))  # type: ignore[attr-defined]
+    moved = move_hit(opened.hits, 5, (0.0, 0.1, 0.0))  # the button that was clicked goes along
+    request = make_request(opened, (), replace(order, hit=moved["hit"]))
+    assert request.section.steps[0].press.at == pytest.approx((0.69, 0.16, 1.115))  # type: ignore[attr-defined]
+    opened.hits[5] = panel
+    with pytest.raises(RequestError, match=r"values.at: the panel has 2 buttons, at 0.680, 0.120, 1.100; 0.690, 0.060"):
+        make_request(opened, (), order)
 
 
 @pytest.mark.parametrize(

@@ -105,3 +105,13 @@ def test_the_share_moves_the_threshold_of_a_load_up_to_its_cap():
 def test_limits_that_make_no_sense_are_refused(kwargs):
     with pytest.raises(ExecutionError, match="expected positive forces"):
         GuardSettings(**kwargs)
+
+
+def test_a_force_that_grew_to_its_cap_counts_until_it_is_below_its_threshold():
+    guards, kinds = Guards(), []
+    for force in [50.0, *np.linspace(60.0, 260.0, 10), *np.linspace(260.0, 100.0, 10)]:
+        findings, guards = guards.check(TURN, None, {}, {"l_tool": force}, {}, PERIOD)
+        kinds.append(bool(findings))
+    first = kinds.index(True)
+    assert kinds[first:-2] == [True] * len(kinds[first:-2])
+    assert kinds[-1] is False

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.guards import Finding, Severity
-from service.execution.machine import ExecutionMachine, MachineSettings, MachineState, Mode, Order
+from service.execution.machine import FREE_S, ExecutionMachine, MachineSettings, MachineState, Mode, Order
 from service.verify import Phase, PlantedContact
 
 PERIOD = 1e-2
@@ -23,6 +23,7 @@ class Stretch:
     begin_s: float
     end_s: float
     rests: bool = True
+    retreat_s: float | None = None
 
 
 PHASES = tuple(Stretch(f"phase {k}", ([0.0, *ENDS])[k], end) for k, end in enumerate(ENDS))
@@ -221,7 +222,9 @@ def test_orders_are_refused_once_an_execution_is_over_or_aborted(mode):
         ExecutionMachine(PHASES, None).check_order(MachineState(mode=mode), Order.RESUME)
 
 
-@pytest.mark.parametrize("kwargs", [{"speed": 0.0}, {"speed": 1.5}, {"ramp_s": 0.0}, {"wait_s": -1.0}])
+@pytest.mark.parametrize(
+    "kwargs", [{"speed": 0.0}, {"speed": 1.5}, {"ramp_s": 0.0}, {"load_ramp_s": 0.0}, {"wait_s": -1.0}]
+)
 def test_settings_that_make_no_sense_are_refused(kwargs):
     with pytest.raises(ExecutionError, match="expected"):
         MachineSettings(**kwargs)
@@ -258,3 +261,67 @@ def test_a_clock_whose_speed_was_lowered_still_comes_to_rest_in_its_ramp(speed, 
     else:
         assert state.time_s - begin <= ramp_s
         assert n_cycles * PERIOD <= ramp_s * (1.0 + np.log(1.0 / speed)) + 0.1
+
+
+def jam(at, free_at):
+    """Findings of a hand that presses too hard from a time of the plan on, until it is back at another one."""
+    words = "r_tool presses with 90 N"
+    load = Finding(Severity.ABORT, "r_tool", 90.0, 30.0, words, is_load=True)
+    seen = []
+
+    def findings(state):
+        seen.extend([state] if state.time_s >= at else [])
+        return (load,) if seen and state.time_s > free_at else ()
+
+    return findings
+
+
+@pytest.mark.parametrize("free_at", [1.75, 1.5, 1.1])
+def test_a_hand_that_presses_too_hard_goes_back_until_it_no_longer_does(free_at):
+    machine = ExecutionMachine(PHASES, balance_of(lambda t: 0.1))
+    states = run(machine, findings=jam(1.7, free_at))
+    begun = next(state for state in states if state.mode is Mode.RETURNING)
+    furthest = max(state.time_s for state in states)
+    assert furthest - begun.time_s <= 0.5 * machine.settings.load_ramp_s + PERIOD
+    assert states[-1].mode is Mode.ABORTED
+    assert states[-1].reason == "r_tool presses with 90 N"
+    assert free_at - FREE_S - 2.0 * PERIOD <= states[-1].time_s <= free_at
+    check_smooth(states, replace(machine.settings, ramp_s=machine.settings.load_ramp_s))
+
+
+def test_a_hand_that_presses_too_hard_all_the_way_back_stops_where_the_robot_rested_last():
+    states = run(ExecutionMachine(PHASES, balance_of(lambda t: 0.1)), findings=jam(1.7, 0.0))
+    assert states[-1].mode is Mode.ABORTED
+    assert states[-1].time_s == pytest.approx(ENDS[0], abs=2e-3)
+    assert {state.phase for state in states if state.mode is Mode.RETURNING} == {1}
+
+
+def test_a_hand_that_was_freed_does_not_go_back_for_what_it_presses_then():
+    findings = jam(1.7, 1.6)
+    states = run(
+        ExecutionMachine(PHASES, balance_of(lambda t: 0.1)),
+        findings=lambda state: (
+            findings(state) or (jam(0.0, 0.0)(state) if state.time_s < 1.55 and state.rate < 0 else ())
+        ),
+    )
+    assert states[-1].mode is Mode.ABORTED
+    assert states[-1].time_s > 1.45
+
+
+def test_a_retreat_goes_back_to_the_rest_of_its_phase_and_is_refused_where_none_is_free():
+    phases = tuple(replace(own, retreat_s=rest) for own, rest in zip(PHASES, (0.0, None, 1.8), strict=True))
+    machine = ExecutionMachine(phases, balance_of(lambda t: 0.1))
+    for at, goal in ((0.5, 0.0), (2.5, 1.8)):
+        for before in ({}, {at - 0.2: Order.ABORT}):
+            states = run(machine, {**before, at: Order.RETREAT})
+            assert states[-1].mode is Mode.ABORTED
+            assert states[-1].time_s == pytest.approx(goal, abs=2e-3)
+            check_smooth(states, machine.settings)
+    hold = Finding(Severity.HOLD, "r_arm", 0.0, 0.0, "an encoder has failed")
+    states = run(machine, {0.8: Order.RETREAT}, lambda state: (hold,) if state.rate < -0.3 else ())
+    assert (states[-1].mode, states[-1].reason) == (Mode.ABORTED, "an encoder has failed")
+    assert states[-1].time_s > 0.2
+    pressing = MachineState(time_s=1.4, phase=1, rate=1.0)
+    with pytest.raises(ExecutionError, match="retreat: in 'phase 1' hands press"):
+        machine.check_order(pressing, Order.RETREAT)
+    assert machine.step(pressing, (), Order.RETREAT, PERIOD).mode is Mode.RUNNING

@@ -103,19 +103,23 @@ def loaded(reference, monkeypatch):
     return plan
 
 
-def test_an_order_is_answered_after_the_state_that_it_led_to(loaded):
+@pytest.mark.parametrize(
+    ("last", "mode_then", "reason"),
+    [("stop", "holding", "stopped by the operator"), ("retreat", "returning", "retreats by the operator's order")],
+)
+def test_an_order_is_answered_after_the_state_that_it_led_to(loaded, last, mode_then, reason):
     service = Service(holds_alone=True)
     assert service.status["mode"] == "idle"
     answer = service.execute(waits_for_start=True)
     assert (answer["error"], answer["trajectory_sha256"]) == ("", loaded.trajectory_sha256)
     assert (service.status["mode"], service.status["last_order"]) == ("ready", "execute by ann")
     service.order("speed", speed=0.01)
-    for order, mode in (("start", "running"), ("pause", "paused"), ("resume", "running"), ("stop", "holding")):
+    for order, mode in (("start", "running"), ("pause", "paused"), ("resume", "running"), (last, mode_then)):
         assert service.order(order)["error"] == ""
         before = service.told[: next(k for k, m in enumerate(service.told) if m.get("id") == service._n)]
         assert [m["status"]["mode"] for m in before if "status" in m][-1] == mode
     assert until(lambda: service.status["mode"] == "aborted")
-    assert service.status["reason"] == "stopped by the operator"
+    assert service.status["reason"] == reason
     service.leave()
 
 

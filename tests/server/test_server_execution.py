@@ -19,9 +19,10 @@ from planner_server import ServerProcess, planner_server
 
 from service.client import PlannerClient, PlannerError
 from service.client.answers import FinishedPlan
+from service.execution.machine import Order
 from service.proto.planner.v1 import execution_pb2 as wire
 from service.request.file import parse_request
-from service.server.operation.executions import PROVEN_S, ExecutionHandlers, RobotSettings
+from service.server.operation.executions import ORDERS, PROVEN_S, ExecutionHandlers, RobotSettings
 from service.store import DIRECT
 
 pytest.importorskip("mujoco")
@@ -185,6 +186,10 @@ def test_orders_are_obeyed_and_answered_by_the_revision_of_the_state_after_them(
     assert (state.status.mode, state.status.reason) == (wire.EXECUTION_MODE_ABORTED, "aborted by the operator")
     with refused("abort: the execution is aborted; plan again to go on"):
         operator.order("abort")
+
+
+def test_every_order_of_an_execution_has_a_message() -> None:
+    assert {order.value for order in Order} < set(ORDERS.values())
 
 
 def test_anybody_stops_the_robot_without_lease_and_revision(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from still_door import motion_of
 from tiny_robots import SPATIAL, chain
 
 from benchmarks.planning.timing_reference import spline_through
@@ -26,11 +27,13 @@ from service.setup.prepare import prepare
 from service.verify import (
     Approach,
     FrameSpeed,
+    HandLoad,
     LoadLimits,
     Motion,
     Phase,
     Status,
     VerifyError,
+    limit_loads,
     list_frame_speeds,
     list_tools,
     trace_frame,
@@ -101,6 +104,18 @@ def test_the_speed_of_an_approach_follows_from_cap_and_reaction() -> None:
     approach = Approach(stiffness_n_m=5e3, reaction_s=0.4, noise_n=20.0)
     assert limit_approach(LoadLimits("tool", ("leaf",), 30.0, 140.0), approach) == pytest.approx(90.0 / 2000.0)
     assert limit_approach(LoadLimits("tool", ("leaf",), 100.0, 115.0), approach) == LEAST_M_S
+
+
+def test_a_hand_that_moves_a_mechanism_is_as_slow_as_one_that_may_find_it_jammed() -> None:
+    still = motion_of(np.zeros((2, 2)))
+    load = HandLoad("l_tool", "leaf", np.array([0.0, 0.8, 1.0]), np.array([20.0, 0.0, 0.0]))
+    phases = (Phase("reach", 0.0, 0.5), Phase("open", 0.5, 1.0, loads=(load,)))
+    assert list_frame_speeds(still, phases) == ()
+    (pressing, approach) = list_frame_speeds(replace(still, pace="fast"), phases)
+    (limit,) = limit_loads(still, phases[1])
+    most = limit_approach(limit, still.approach)
+    assert pressing == FrameSpeed("pressing.open.l_tool", "l_tool", 0.5, 1.0, most)
+    assert (approach.name, approach.last, approach.most) == ("approach.reach.l_tool", 0.5, most)
 
 
 def test_a_plan_keeps_tool_speed_and_pace_of_its_request_and_no_others() -> None:

@@ -8,6 +8,7 @@ workers are forked from and a worker, and for a while nothing that the server wr
 from __future__ import annotations
 
 import resource
+import shutil
 import threading
 import time
 from collections import Counter
@@ -30,6 +31,7 @@ WORKERS, CLIENTS = 2, 4
 ITEMS, FEW_ITEMS = 1000, 4  # plans and reviews that are to be confirmed; in a short run
 LEAST_S, LONGEST_S = 0.5, 8.0  # between two blows
 FULL_S, GROWS_S = 0.5, 3.0  # of a full disk, and longest wait for a growing store
+SMALL_BYTES = 512 << 20  # free on a file system that is filled in a moment
 PAGE = 500
 BUSY = ("UNAVAILABLE", "RESOURCE_EXHAUSTED", "DEADLINE_EXCEEDED", "CANCELLED", "ABORTED")  # such calls are repeated
 ARGUMENTS = ("--requests-per-s", "100000")
@@ -62,6 +64,7 @@ class _Told:
 def measure(options: Options, folder: Path) -> list[Figure]:
     """Strike until enough is confirmed or time is over, then compare all that is stored with all that was confirmed."""
     random, told, blows = Random(options.seed), _Told(), Counter[str]()
+    due = random.sample(list(BLOWS), len(BLOWS))  # each kind once, then at random
     until, items = time.monotonic() + options.time_s(1200.0, 60.0), options.count(ITEMS, FEW_ITEMS)
     clients = [threading.Thread(target=_plan_and_review, args=(told, k)) for k in range(CLIENTS)]
     for client in clients:
@@ -71,7 +74,7 @@ def measure(options: Options, folder: Path) -> list[Figure]:
             told.address = server.address
             while server.is_alive() and time.monotonic() < until and told.count < items:
                 time.sleep(random.uniform(LEAST_S, LONGEST_S))
-                name = random.choices(list(BLOWS), WEIGHTS)[0]
+                name = due.pop() if due else random.choices(list(BLOWS), WEIGHTS)[0]
                 blows[name] += BLOWS[name](server, folder)
             told.address = ""
     told.is_over = True
@@ -184,7 +187,19 @@ def _kill_named(name: str) -> Callable[[Server, Path], bool]:
 
 
 def _fill_disk(server: Server, folder: Path) -> bool:
-    """Let nothing that the server writes to a file be taken for a while."""
+    """Let nothing that the server writes to a file be taken for a while; fill its file system, if that is small.
+
+    ``TMPDIR`` may name a folder on such a file system.
+    """
+    free = shutil.disk_usage(folder).free
+    if free < SMALL_BYTES:
+        ballast = folder / "ballast"
+        with suppress(OSError), ballast.open("wb", buffering=0) as file:
+            while file.write(bytes(1 << 20)):
+                pass
+        time.sleep(FULL_S)
+        ballast.unlink()
+        return True
     pid = server.process.pid
     try:
         before = resource.prlimit(pid, resource.RLIMIT_FSIZE)

@@ -257,7 +257,8 @@ def _as_detection(
     sizes = {"width": float(size[0]), "height": float(size[1]), "n_buttons": float(len(buttons))}
     for i, disc in enumerate(sorted(buttons, key=lambda disc: (-disc.centre[1], disc.centre[0]))):
         x, y = disc.centre - middle
-        sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y), f"button_{i}_radius": disc.radius}
+        sizes |= {f"button_{i}_x": float(x), f"button_{i}_y": float(y)}
+        sizes |= {f"button_{i}_radius": disc.radius, f"button_{i}_height": disc.front}
     n_seen = sum(edges.seen)
     confidence = (
         rising(float(n_seen), *_EDGES_SEEN[is_hinted])

@@ -17,6 +17,7 @@ _LEAST_HEIGHT = 0.005
 _FEWEST = 4
 _COLLAR = 0.008
 _MOST = 600
+_MIDDLE = 0.6  # of a disc's radius
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Disc:
         gain: log likelihood ratio of the disc against the bare face.
         roundness: smaller over larger standard deviation of its raised points, 0 to 1.
         around: mean height of the points in a ring around it, over its own.
+        front: mean height of the points in its middle: those at its edge lie lower [m].
     """
 
     centre: Float[np.ndarray, "2"]
@@ -38,6 +40,7 @@ class Disc:
     n_points: int
     roundness: float
     around: float
+    front: float
 
 
 def find_discs(
@@ -161,4 +164,6 @@ def _measure(points: Float[np.ndarray, "N 3"], centre: Float[np.ndarray, "2"], r
         roundness = float(np.sqrt(max(values[0], 0.0) / max(values[1], 1e-12)))
     ring = (apart > radius + _COLLAR) & (apart < radius + 0.022)
     around = float(points[ring, 2].mean()) / max(height, 1e-3) if ring.any() else 0.0
-    return Disc(centre, radius, height, gain, int(mine.sum()), roundness, around)
+    middle = apart < _MIDDLE * radius
+    front = float(np.mean(points[middle, 2])) if middle.sum() >= _FEWEST else height
+    return Disc(centre, radius, height, gain, int(mine.sum()), roundness, around, front)

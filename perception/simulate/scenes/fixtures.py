@@ -63,7 +63,8 @@ class Panel:
                 (radius, 0.004),
             ]
             meshes.append(lathe([*head, (1.2 * radius, 0.004), (1.2 * radius, 0.0)], (x, y, 0.0)))
-            sizes |= {f"button_{i}_x": x, f"button_{i}_y": y, f"button_{i}_radius": radius}
+            sizes |= {f"button_{i}_x": x, f"button_{i}_y": y}
+            sizes |= {f"button_{i}_radius": radius, f"button_{i}_height": self.proud}
         return PlacedObjects(tuple(mesh.place(pose) for mesh in meshes), (Truth("panel", pose, sizes),))
 
 

@@ -181,7 +181,7 @@ class RobotOrder(Section):
         link, offset_m: with ``shift``, a foot or hand, and the displacement of its target [m].
     """
 
-    command: Literal["pause", "resume", "stop", "abort", "speed", "shift", "release_control"]
+    command: Literal["pause", "resume", "stop", "abort", "retreat", "speed", "shift", "release_control"]
     revision: int
     speed: float = 0.0
     link: Annotated[str, Field(max_length=200)] = ""

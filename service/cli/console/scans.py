@@ -135,6 +135,7 @@ async def detect_at(
                 "doubts": list(found.doubts),
                 "points": quantize(np.empty((0, 3))),
                 "moved_m": [0.0, 0.0, 0.0],
+                "clicked": list(at),
             })  # fmt: skip
     hits.sort(key=lambda hit: -hit["confidence"])
     for hit in hits:
@@ -158,8 +159,11 @@ def move_hit(known: dict[int, dict[str, Any]], number: int, moved_m: Sequence[fl
     if size > LARGEST_MOVE_M:
         raise RequestError(f"moved_m: {size:.3g} m; expected at most {LARGEST_MOVE_M:g} m, click again for farther")
     pose = np.array(hit["pose_world_object"])
-    pose[:3, 3] += np.subtract(moved_m, hit["moved_m"])
+    further = np.subtract(moved_m, hit["moved_m"])
+    pose[:3, 3] += further
     moved = {**hit, "pose_world_object": pose.tolist(), "moved_m": list(moved_m)}
+    if "clicked" in hit:
+        moved["clicked"] = np.add(hit["clicked"], further).tolist()
     _keep_hit(known, moved)
     return moved
 

@@ -11,7 +11,7 @@ from service.cli.options import Json, ServerOptions
 from service.cli.run import consoles, print_json
 from service.errors import RequestError
 
-NEEDS_STATE = ("start", "pause", "resume", "abort", "speed", "shift")
+NEEDS_STATE = ("start", "pause", "resume", "abort", "retreat", "speed", "shift")
 TAKES = {"take": False, "take-over": True}
 
 
@@ -20,7 +20,7 @@ def command_command(
     order: Annotated[
         str,
         typer.Argument(
-            help="take, take-over, release, start, pause, resume, stop, abort, speed, shift.", metavar="ORDER"
+            help="take, take-over, release, start, pause, resume, stop, abort, retreat, speed, shift.", metavar="ORDER"
         ),
     ],
     server: ServerOptions,
@@ -42,7 +42,8 @@ def command_command(
     """Give the robot of a server an order, or take, take over or release its control.
 
     pause comes to rest and can be resumed; stop ends the execution where it is; abort goes back on the plan's own path
-    to the last pose in balance. What a shift makes of a plan is outside of its certificate.
+    to the last pose in balance; retreat to the plan's start, or the first rest since hands or feet changed what they
+    touch. What a shift makes of a plan is outside of its certificate.
     """
     from service.cli.connect import connect
 

@@ -52,6 +52,7 @@ ORDERS = {
     wire.ORDER_ABORT: "abort",
     wire.ORDER_SPEED: "speed",
     wire.ORDER_SHIFT: "shift",
+    wire.ORDER_RETREAT: "retreat",
 }
 PARTS = ("status", "plan", "control", "pose")
 

@@ -1,4 +1,4 @@
-"""Speeds of tools and of hands that approach what they press, bounded along the whole timed curve.
+"""Speeds of tools, and of hands that press or approach what they press, bounded along the whole timed curve.
 
 On an interval of the path on which a point leaves its chord by at most ``d = h^2/8 max|p''|`` its rate ``|p'|`` is at
 most that of the chord plus ``h/2 max|p''| = 4 d / h``; its speed is at most this times the largest ``ds/dt``.
@@ -79,7 +79,7 @@ def _find_outermost(model: pin.Model, joint: int, place: Float[np.ndarray, "3"])
 
 
 def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpeed, ...]:
-    """Return the speeds that a motion promises: of its tools, and with a pace those of hands that begin to press."""
+    """Return the speeds that a motion promises: of its tools, and with a pace of hands that press or begin to."""
     speeds = []
     if motion.tool_speed_m_s is not None:
         first, last = float(motion.curve.knots[0]), float(motion.curve.knots[-1])
@@ -88,7 +88,18 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
             for tool in list_tools(motion.robot)
         ]
     if motion.pace is not None:
-        parts = zip(split_motion(motion), phases, strict=True)
+        parts = list(zip(split_motion(motion), phases, strict=True))
+        speeds += [
+            FrameSpeed(
+                f"pressing.{phase.name}.{limit.tool}",
+                limit.tool,
+                phase.first,
+                phase.last,
+                limit_approach(limit, motion.approach),
+            )
+            for part, phase in parts
+            for limit in limit_loads(part, phase)
+        ]
         for (_, before), (part, after) in pairwise(parts):
             pressing = {find_loaded_hand(before, load) for load in before.loads}
             speeds += [
@@ -107,10 +118,10 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
 
 
 def limit_approach(limit: LoadLimits, approach: Approach) -> float:
-    """Return the largest speed at which a hand may meet what it is going to press [m/s].
+    """Return the largest speed at which a hand may meet what it is going to press, and move what it presses [m/s].
 
-    A hand that meets the surface too early presses on until the force is seen and the arm rests; its force stays below
-    the cap if ``v <= (cap - expected - noise) / (stiffness * time)``.
+    A hand that meets the surface too early, or whose mechanism jams, presses on until the force is seen and the arm
+    rests; its force stays below the cap if ``v <= (cap - expected - noise) / (stiffness * time)``.
     """
     room = limit.cap_n - limit.expected_n - approach.noise_n
     return max(room / (approach.stiffness_n_m * approach.reaction_s), LEAST_M_S)

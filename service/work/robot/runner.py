@@ -22,7 +22,7 @@ from service.work.robot.robot import Robot
 
 POSE_PERIOD_S = 0.02  # between two reports of a pose
 IDLE_WAIT_S = 0.05  # for orders while nothing is carried out
-ORDERS = {"pause": Order.PAUSE, "stop": Order.STOP, "abort": Order.ABORT, "resume": Order.RESUME}
+ORDERS = {order.value: order for order in Order}
 IDLE = {"mode": "idle", "phase": "", "reason": "", "findings": [], "speed": 1.0, "last_order": "", "shifts": {}}
 Message = Mapping[str, Any]
 

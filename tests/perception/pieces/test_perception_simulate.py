@@ -186,7 +186,8 @@ def expected_keys(kind: str, sizes: dict[str, float]) -> set[str]:
         wheel, lever = {"outer_radius", "rim_radius", "tube_radius"}, {"lever_length", "lever_radius"}
         return lever if "lever_length" in sizes else wheel
     if kind == "panel":
-        buttons = {f"button_{i}_{what}" for i in range(int(sizes["n_buttons"])) for what in ("x", "y", "radius")}
+        known = ("x", "y", "radius", "height")
+        buttons = {f"button_{i}_{what}" for i in range(int(sizes["n_buttons"])) for what in known}
         return {"width", "height", "n_buttons"} | buttons
     return {
         "door": {"width", "height", "ajar", "handle_x", "handle_y", "handle_z", "lever_direction", "side"},

@@ -23,6 +23,7 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_TAKE_OVER: _ClassVar[Order]
     ORDER_RELEASE_CONTROL: _ClassVar[Order]
     ORDER_SHIFT: _ClassVar[Order]
+    ORDER_RETREAT: _ClassVar[Order]
 
 class ExecutionMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -50,6 +51,7 @@ ORDER_TAKE_CONTROL: Order
 ORDER_TAKE_OVER: Order
 ORDER_RELEASE_CONTROL: Order
 ORDER_SHIFT: Order
+ORDER_RETREAT: Order
 EXECUTION_MODE_UNSPECIFIED: ExecutionMode
 EXECUTION_MODE_IDLE: ExecutionMode
 EXECUTION_MODE_LOADING: ExecutionMode

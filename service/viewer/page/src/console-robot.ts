@@ -28,6 +28,7 @@ export class RobotStrip {
   private readonly pause = button("", "Pause", "The plan's clock comes to rest", () => void this.command("pause"));
   private readonly resume = button("", "Resume", "The plan's clock goes on", () => void this.command("resume"));
   private readonly abort = button("", "Go back", "Back to the last pose in balance, where the execution ends", () => void this.command("abort"));
+  private readonly retreat = button("", "Retreat", "Back to the plan's start, or to the first rest since the hands let something go; refused while they press", () => void this.command("retreat"));
   private readonly stop = button("stop", "Stop", "The robot comes to rest, and the execution ends there", () => void this.command("stop"));
   private readonly shift = new ShiftPanel((link, offset_m) => this.command("shift", { link, offset_m }));
   private readonly shifted = el("span");
@@ -44,7 +45,7 @@ export class RobotStrip {
       return option;
     }));
     this.speed.addEventListener("change", () => void this.command("speed", { speed: Number(this.speed.value) }));
-    const orders = el("div", "orders", this.take, this.takeOver, this.release, this.speed, this.pause, this.resume, this.abort, this.stop);
+    const orders = el("div", "orders", this.take, this.takeOver, this.release, this.speed, this.pause, this.resume, this.abort, this.retreat, this.stop);
     this.element.append(el("div", "now", this.mode, this.line, this.holder, this.said, orders), this.uncertified, this.shift.element, this.alert);
     this.uncertified.hidden = true;
     this.element.hidden = true;
@@ -82,8 +83,8 @@ export class RobotStrip {
     this.takeOver.hidden = state.has_control || state.control === "";
     this.release.hidden = !state.has_control;
     const isUnderWay = UNDER_WAY.includes(state.mode);
-    for (const one of [this.pause, this.resume, this.abort, this.speed]) one.hidden = !state.has_control || !isUnderWay;
-    for (const one of [this.pause, this.resume, this.abort, this.speed, this.release]) one.disabled = !this.mayOrder;
+    for (const one of [this.pause, this.resume, this.abort, this.retreat, this.speed]) one.hidden = !state.has_control || !isUnderWay;
+    for (const one of [this.pause, this.resume, this.abort, this.retreat, this.speed, this.release]) one.disabled = !this.mayOrder;
     this.pause.hidden ||= state.mode === "paused";
     this.resume.hidden ||= state.mode !== "paused";
     this.stop.hidden = !isUnderWay;
