@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from costs.progress import tell
 from perception.cleaning.clean import Reach, first_of_equals, inside_hulls
-from perception.cleaning.doubts import crop_doubt, low_sensor_doubt, nothing_left
+from perception.cleaning.doubts import crop_doubt, high_sensor_doubt, low_sensor_doubt, nothing_left
 from perception.cleaning.outliers import surface_points
 from perception.cloud import Cloud
 from perception.errors import CloudError
@@ -188,7 +188,7 @@ def view_of(
         notes = (*notes, f"the floor has {len(floors)} levels; the robot is taken to stand on 'floor'")
     if floors:
         lowest = np.min([level.height(near.starts[:, :2]) for level in floors], axis=0)
-        notes = (*notes, *low_sensor_doubt(near.starts, lowest))
+        notes = (*notes, *low_sensor_doubt(near.starts, lowest), *high_sensor_doubt(near.starts, lowest))
     is_floor = find_floor_points(near.points, floors, soles)
     tell("drop strays")
     kept = _find_surfaces(near, is_floor, narrower) if cleaned else ~is_floor

@@ -85,11 +85,11 @@ def _click(
             count[0] += 1
             count[1] += any(right)
             count[2] += bool(right) and right[0]
-            count[3] += sum(hit.confidence >= CONFIDENT and not _is_object(hit, case) for hit in hits)
+            count[3] += sum(hit.confidence >= CONFIDENT and not _is_object(hit, case, error_mm) for hit in hits)
             count[4] += time.process_time() - begun
             begun = time.process_time()
             if chosen.rows is not None:
-                _append(chosen.rows, case, source, own)
+                _append(chosen.rows, case, source, own, error_mm)
 
 
 def list_clicks(
@@ -123,13 +123,14 @@ def _is_close(hit: Detection, truth: Truth, error_mm: float) -> bool:
     return distance(hit, truth) <= _PLACE_MM + error_mm and turn is not None and turn <= _TURN_DEG
 
 
-def _is_object(hit: Detection, case: Case) -> bool:
+def _is_object(hit: Detection, case: Case, error_mm: float) -> bool:
     """Return whether a hit is an object of its kind, or one that counts neither way."""
-    true = any(is_right(hit.kind, errors(hit.kind, hit, one)) for one in case.truth if one.kind == hit.kind)
+    of_kind = [one for one in case.truth if one.kind == hit.kind]
+    true = any(is_right(hit.kind, errors(hit.kind, hit, one), error_mm) for one in of_kind)
     return true or hit.kind in case.unknown or is_lookalike(hit, case.lookalikes)
 
 
-def _append(table: Path, case: Case, source: str, hits: Sequence[Detection]) -> None:
+def _append(table: Path, case: Case, source: str, hits: Sequence[Detection], error_mm: float) -> None:
     """Append the evidence of fits in the columns of ``benchmarks.clouds.confidence``."""
     is_new = not table.exists()
     with table.open("a", newline="") as file:
@@ -137,7 +138,9 @@ def _append(table: Path, case: Case, source: str, hits: Sequence[Detection]) -> 
         if is_new:
             writer.writerow(["scan", "source", "template", *FEATURES, "rating", "right"])
         for hit in hits:
-            right = any(is_right(hit.kind, errors(hit.kind, hit, one)) for one in case.truth if one.kind == hit.kind)
+            right = any(
+                is_right(hit.kind, errors(hit.kind, hit, one), error_mm) for one in case.truth if one.kind == hit.kind
+            )
             if right or not is_lookalike(hit, case.lookalikes):
                 shown = [f"{hit.residuals[PREFIX + name]:.4f}" for name in FEATURES]
                 writer.writerow([case.name, source, _row_of(hit), *shown, "0.5000", int(right)])

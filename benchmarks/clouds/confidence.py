@@ -33,10 +33,8 @@ from perception import CONFIDENT, KINDS, Cloud, Reach, detect_each, make_view, r
 from perception.detect.engine.hits import PREFIX
 from perception.detect.engine.kinds import CLICKED, name_of
 from perception.detect.engine.score import FEATURES
-from perception.detect.engine.verdict import INPUTS, heed, inputs_of, rate
-from perception.sightlines import sight_index
+from perception.detect.engine.verdict import INPUTS, heed, inputs_of
 from perception.simulate.scenes import Truth
-from perception.view import widen
 
 _TABLES = Path(__file__).parents[2] / "perception" / "detect" / "engine"
 _VARIANTS = ("dense/solid/camera", "sparse/solid_sparse")
@@ -152,10 +150,8 @@ def read_truth(document: dict[str, object]) -> Iterator[Truth]:
 def _gather(case: Case, source: str, kinds: Sequence[str], table: Path) -> None:
     """Append the hits of a scan to the table."""
     view = make_view(case.load(), reach=case.reach)
-    index = sight_index(widen(view).cloud)
     lines = []
-    for kind, found in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
-        hits = [rate(hit, index) for hit in found]
+    for kind, hits in detect_each(kinds, view, on_failure=lambda kind, error: print(case.name, kind, error)):
         outcome = matched(kind, hits, case.truth, case.lookalikes)
         of_hit = {id(hit): truth for truth, hit in outcome.pairs if hit is not None}
         for hit in hits:

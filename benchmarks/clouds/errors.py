@@ -239,9 +239,16 @@ def misses_target(kind: str, values: Sequence[float | None], density: str) -> bo
     )
 
 
-def is_right(kind: str, values: Sequence[float | None]) -> bool:
-    """Whether all errors of a hit are small enough for it to be the object; unknown errors do not count."""
-    return all(value is None or value <= measure.right for measure, value in zip(MEASURES[kind], values, strict=True))
+def is_right(kind: str, values: Sequence[float | None], truth_mm: float = 0.0) -> bool:
+    """Whether all errors of a hit are small enough for it to be the object; unknown errors do not count.
+
+    Args:
+        truth_mm: error of the truth itself, by which a hit's place and lengths may be farther off.
+    """
+    return all(
+        value is None or value <= measure.right + truth_mm * measure.name.endswith(" mm")
+        for measure, value in zip(MEASURES[kind], values, strict=True)
+    )
 
 
 def is_lookalike(found: Found, lookalikes: Sequence[tuple[str, Float[np.ndarray, "K 3"]]]) -> bool:

@@ -30,6 +30,8 @@ _LAYER = 0.04
 # Least height of a sensor above the floor [m].
 _SENSOR_ABOVE_FLOOR = 0.05
 _FEW = 0.01
+# Usual height of a sensor over its floor, least and most, and a height that few have [m].
+_SENSOR_HEIGHT, _HIGH = (0.5, 2.5), 3.3
 
 
 def find_doubts(points: Float[np.ndarray, "N 3"], origin: Float[np.ndarray, "*N 3"]) -> tuple[str, ...]:
@@ -111,6 +113,17 @@ def low_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray,
         f"rays start at ({where}), no higher than the floor, where hardly a sensor was; what counts as free, and what "
         "is found, depends on it: give the sensor's position",
     )
+
+
+def high_sensor_doubt(starts: Float[np.ndarray, "N 3"], lowest: Float[np.ndarray, "N"]) -> tuple[str, ...]:
+    """Return a note when rays start so high above the floor that a smaller unit than metres would explain it.
+
+    Args:
+        lowest: (N,) height of the lowest floor at each start [m].
+    """
+    height = float(np.median(starts[:, 2] - lowest))
+    likely = _likely_units(height, *_SENSOR_HEIGHT) if height > _HIGH else ""
+    return (f"rays start {height:.1f} m above the floor: is its unit {likely}?",) if likely else ()
 
 
 def nothing_left(points: Float[np.ndarray, "N 3"], reach: Reach) -> str:

@@ -6,17 +6,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from perception.detect.engine.extend import extend_parts, spread_angles
 from perception.detect.engine.refine import Hypotheses, rate_ends
 from perception.detect.engine.region import Mounting
-from perception.detect.engine.search import CLICK, LED, PART, Fit, Site, begin, drop_same, search
+from perception.detect.engine.search import CLICK, PART, Fit, Site, begin, search
 from perception.detect.engine.surroundings import CLICKED, Surroundings
 from perception.detect.engine.template import Starts, Template
 from perception.sightlines import SightIndex
 
 _SCREENED = 120  # hypotheses left after a look at the points alone
-_FEW_POINTS, _POINTS_OF_ALL = 60, 200
+_FEW_POINTS = 60
 _FEWEST, _FEWEST_SLENDER = 8, 4
-_SAME_MIDDLE, _SAME_WAY, _MOST_PARTS = 0.03, 0.97, 3  # [m], cosine
 _GOLDEN = np.pi * (1.0 + np.sqrt(5.0))
 
 
@@ -26,11 +26,8 @@ def fit_at(template: Template, around: Surroundings, index: SightIndex) -> list[
     if part is None:
         fits = search(template, propose(template, around), index, effort=CLICK)
     else:
-        parts = _drop_turned([one for _, one in begin(part, propose(part, around), index, PART)])
-        # Each part gets answers of its own: a pipe taken for a lever would have more rays than a slim lever.
-        sites = [_extend(template, one, around) for one in parts]
-        fits = drop_same([fit for site in sites for fit in search(template, [site], index, effort=LED)])
-        fits = sorted(fits, key=lambda fit: -fit.gain)
+        parts = [one for _, one in begin(part, propose(part, around), index, PART)]
+        fits = extend_parts(template, parts, around.points, index)
     return [fit for fit in fits if np.linalg.norm(fit.middle - around.click) < CLICKED + 0.5 * template.radius]
 
 
@@ -47,53 +44,12 @@ def propose(template: Template, around: Surroundings) -> list[Site]:
     for plane in around.supports if template.mount == "support" else around.faces:
         over = plane.height(around.points)
         loose = around.points[(over > max(starts.over[0], 3.0 * plane.sigma)) & (over < starts.over[1])]
-        turns = Rotation.from_rotvec(np.outer(_spread_angles(starts.n_turns), plane.frame[2])).as_matrix()
+        turns = Rotation.from_rotvec(np.outer(spread_angles(starts.n_turns), plane.frame[2])).as_matrix()
         turned = np.einsum("tij,jk,pkl->ptil", turns, plane.frame.T, starts.postures).reshape(-1, 3, 3)
         site = _make_site(template, around, plane, loose, turned, np.repeat(starts.lifts, starts.n_turns))
         if site is not None:
             sites.append(site)
     return sites
-
-
-def _drop_turned(parts: list[Hypotheses]) -> list[Hypotheses]:
-    """Return bars along their x axis, best first, without those that a better one repeats, whichever way it points."""
-    kept: list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], Hypotheses]] = []
-    for one in parts:
-        x = one.rotation[0][:, 0]
-        middle = one.place[0] + 0.5 * one.sizes[0, 0] * x
-        if all(np.linalg.norm(middle - other) > _SAME_MIDDLE or abs(x @ way) < _SAME_WAY for other, way, _ in kept):
-            kept.append((middle, x, one))
-    return [one for _, _, one in kept[:_MOST_PARTS]]
-
-
-def _extend(template: Template, part: Hypotheses, around: Surroundings) -> Site:
-    """Return a site with hypotheses of an object about its fitted part: held at either end, turned about its x axis."""
-    starts = template.starts
-    assert starts is not None
-    sizes = np.repeat(starts.sizes, 2 * starts.n_spins, axis=0)
-    n = len(sizes)
-    names = [size.name for size in template.sizes]
-    length, first, second = part.sizes[0]
-    tail = sizes[:, names.index("tail")]
-    angles = np.tile(np.repeat(_spread_angles(starts.n_spins), 2), len(starts.sizes))
-    # A quarter of a turn swaps the sides of the section; between, both are alike.
-    swap = np.sin(angles) ** 2
-    sizes[:, 0], sizes[:, 1] = length - tail, first + swap * (second - first)
-    sizes[:, 2] = second + swap * (first - second)
-    is_back = np.arange(n) % 2 == 1
-    frame = part.rotation[0] @ np.where(is_back[:, None, None], np.diag([-1.0, -1.0, 1.0]), np.eye(3))
-    rotation = frame @ Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0])).as_matrix()
-    along = np.where(is_back, length - tail, tail)
-    place = part.place[0] + along[:, None] * part.rotation[0][:, 0]
-    begun = Hypotheses.of(rotation, place, template.clip(sizes), np.array([0.0, 0.0, 1.0]))
-    middle = part.place[0] + 0.5 * length * part.rotation[0][:, 0]
-    near = around.points[np.linalg.norm(around.points - middle, axis=1) < template.radius + 0.5 * length]
-    rating = rate_ends(template, begun, near[:: max(1, len(near) // _POINTS_OF_ALL)])
-    return Site(middle, None, begun.select(np.argsort(-rating, kind="stable")[:_SCREENED]))
-
-
-def _spread_angles(n: int) -> Float[np.ndarray, "n"]:
-    return np.arange(n) * (2.0 * np.pi / n)
 
 
 def _list_directions(starts: Starts) -> Float[np.ndarray, "D 3 3"]:
@@ -104,7 +60,7 @@ def _list_directions(starts: Starts) -> Float[np.ndarray, "D 3 3"]:
     ways = np.column_stack([r * np.cos(_GOLDEN * i), r * np.sin(_GOLDEN * i), z])
     axis = np.eye(3)[starts.spread]
     lead = np.stack([Rotation.align_vectors(way[None], axis[None])[0].as_matrix() for way in ways])
-    spins = Rotation.from_rotvec(np.outer(_spread_angles(starts.n_spins), axis)).as_matrix()
+    spins = Rotation.from_rotvec(np.outer(spread_angles(starts.n_spins), axis)).as_matrix()
     return np.asarray(np.einsum("dij,sjk->dsik", lead, spins).reshape(-1, 3, 3))
 
 
@@ -174,7 +130,7 @@ def _follow_points(
         across = across / np.linalg.norm(across)
         for sign in (1.0, -1.0):
             frame = np.column_stack([sign * along, np.cross(across, sign * along), across])
-            spins = Rotation.from_rotvec(np.outer(_spread_angles(starts.n_spins), [1.0, 0.0, 0.0])).as_matrix()
+            spins = Rotation.from_rotvec(np.outer(spread_angles(starts.n_spins), [1.0, 0.0, 0.0])).as_matrix()
             rotations += [frame @ spin for spin in spins]
             at += [place] * len(spins)
     return np.reshape(rotations, (-1, 3, 3)), np.reshape(at, (-1, 3))

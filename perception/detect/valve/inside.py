@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.detect.valve.ring import CLOSE, Passage, Ring, depth_error, rim_hits
+from perception.detect.valve.ring import CLOSE, Passage, Ring, cross_plane, depth_error, rim_hits
 from perception.sightlines import Sightlines
 
 _DEPTH = 0.06
@@ -17,6 +17,8 @@ _SPREAD, _SPREAD_LIMITS = 2.5, (0.015, _SPOKE_DEPTH)
 _MOST_THROUGH = 0.5  # share of the rays along a spoke's middle that do not end on it, such as mixed pixels at its edge
 _IN_PLANE = 0.012
 _CORRIDOR = 0.005
+_BESIDE_SPOKE = 0.002  # [m]
+_FEWEST_ON_HUB = 2
 _STEP_DEG = 2.0
 _RESOLVED = 0.7  # of the greatest half width that a spoke may have: returns that reach farther fill the openings
 _MOST_APART, _BETWEEN = 3, 0.25
@@ -34,7 +36,7 @@ class Inside:
             resolved.
         spokes_known: whether rays are dense enough between hub and rim to distinguish spokes from openings.
         widest_spoke: angle of the widest solid sector in the rim's plane [rad].
-        hub_radius: radius within which almost all rays ended on the wheel [m].
+        hub_radius: radius within which rays between the spokes ended on the wheel [m].
         depth: lowest and highest axial position of the returns inside the rim [m].
         open_share: share of the rays inside the rim that went through.
         n_middle: number of rays that ended on the wheel near its middle.
@@ -92,7 +94,7 @@ def look_inside(rays: Sightlines, ring: Ring, passage: Passage) -> Inside:
         spokes.share,
         spokes.known,
         spokes.widest,
-        hub,
+        _settle_hub(rays.select(np.flatnonzero(known)), ring, spokes, spread, hub),
         depth,
         float((known & through).sum() / known.sum()),
         int((middle & solid).sum()),
@@ -110,6 +112,40 @@ def _hub_radius(distance: Float[np.ndarray, "N"], solid: Bool[np.ndarray, "N"], 
             break
         radius = float(high)
     return radius
+
+
+def _settle_hub(rays: Sightlines, ring: Ring, spokes: _Spokes, spread: float, hub: float) -> float:
+    """Return the radius that best divides the rays that ended on the hub from those that went by between the spokes.
+
+    Args:
+        rays: that end at the wheel or behind it.
+        spread: distance from the hub's face within which a ray ended on it [m].
+        hub: roughly its radius [m]; stays where few rays are left between the spokes.
+    """
+    inner = ring.radius - ring.half_width
+    place, crossing = cross_plane(rays, ring.centre, ring.axis)
+    middle = (np.hypot(*place.T) < 0.8 * hub) & (np.abs(rays.length - crossing) < _DEPTH)
+    if middle.sum() < _FEWEST:
+        return hub
+    # A hub's face stands before the plane of its rim: seen from aside it lies beside the hub there.
+    height = float(np.median((rays.ends[middle] - ring.centre) @ ring.axis))
+    place, crossing = cross_plane(rays, ring.centre + height * ring.axis, ring.axis)
+    distance = np.hypot(*place.T)
+    beside = _in_corridors(place, np.array(spokes.angles), spokes.half_width + _BESIDE_SPOKE).any(axis=1)
+    # Rays that go inwards may pass the face and end on the hub's side.
+    is_outward = np.einsum("ni,ni->n", place, (rays.direction @ ring.basis.T)[:, :2]) >= 0.0
+    free = np.flatnonzero(is_outward & ~beside & (distance < 0.5 * (hub + inner)))
+    # What stands behind a wheel near its stem ends rays, too, but deeper than the hub.
+    is_on = np.abs(rays.length - crossing)[free] < spread
+    order = np.argsort(distance[free])
+    radii, is_on = distance[free][order], is_on[order]
+    if is_on.all():
+        return hub
+    n_wrong = np.append(is_on.sum(), is_on.sum() - np.cumsum(np.where(is_on, 1, -1)))
+    best = np.flatnonzero(n_wrong == n_wrong.min())
+    between = np.concatenate([[0.0], radii, radii[-1:]])
+    radius = float(np.mean(0.5 * (between[best] + between[best + 1])))
+    return radius if is_on[radii < radius].sum() >= _FEWEST_ON_HUB else hub
 
 
 def _spokes(

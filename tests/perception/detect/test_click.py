@@ -15,6 +15,8 @@ from perception.detect.engine.click import fit_at, propose
 from perception.detect.engine.doubts import list_doubts
 from perception.detect.engine.hits import as_detection
 from perception.detect.engine.primitives import Box, Capsule, Cylinder, Primitive, Torus, nearest, nearest_part
+from perception.detect.engine.refine import Hypotheses
+from perception.detect.engine.search import LED, Site, search
 from perception.detect.engine.surroundings import Surroundings
 from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
 from perception.detect.engine.templates.lever import LEVER
@@ -125,9 +127,32 @@ def test_a_wide_bent_lever_before_a_thick_pipe_is_fitted_with_its_pipe() -> None
     assert any(as_detection(fit).pose_world_object[0, 2] < -np.cos(np.radians(5.0)) for fit in right)
 
 
+def test_the_seen_neck_of_a_lever_shows_which_end_is_its_pivot() -> None:
+    hub, out = np.array([1.28, 0.0, 1.2]), np.array([-1.0, 0.0, 0.0])
+    parts = [
+        box((1.268, -0.02, 1.17), (1.292, 0.02, 1.46)),
+        cylinder((1.292, 0.0, 1.2), (1.5, 0.0, 1.2), 0.05, 24),
+        cylinder((1.5, 0.0, 0.2), (1.5, 0.0, 2.2), 0.07, 48),
+        box((2.4, -2.0, 0.0), (2.5, 2.0, 2.5)),
+    ]
+    view = make_view(scan(parts, Pose((0.5, -0.8, 1.5), yaw=0.8), SCANNER, 0))
+    begun = Hypotheses.of(
+        np.column_stack([(0.0, 0.0, 1.0), np.cross(out, (0.0, 0.0, 1.0)), out])[None],
+        hub[None],
+        np.array([[0.25, 0.02, 0.012, 0.03, 0.0, 0.22, 0.07, 0.0, 0.02]]),
+        np.array([0.0, 0.0, 1.0]),
+    )
+    right, turned = search(LEVER_ON_PIPE, [Site(hub, None, begun)], sight_index(view.cloud), effort=LED)[:2]
+    assert np.linalg.norm(right.hypotheses.place[0] - hub) < 0.03 < np.linalg.norm(turned.hypotheses.place[0] - hub)
+    radii = [LEVER_ON_PIPE.named(fit.hypotheses.sizes)["neck_radius"][0] for fit in (right, turned)]
+    # Little of the neck is seen beside its lever, so that its radius stays nearer to the usual one.
+    assert radii[0] > 0.03
+    assert radii[1] < 0.02
+
+
 @given(st.floats(-0.2, 0.2), st.floats(-1.5, 1.5))
 def test_the_z_axis_of_a_lever_leads_from_its_pipe_however_it_is_bent(bend: float, turn: float) -> None:
-    sizes = LEVER_ON_PIPE.named(np.array([[0.2, 0.02, 0.01, 0.02, bend, 0.15, 0.05, turn]]))
+    sizes = LEVER_ON_PIPE.named(np.array([[0.2, 0.02, 0.01, 0.02, bend, 0.15, 0.05, turn, 0.02]]))
     axes, pipe = LEVER_ON_PIPE.axes(sizes)[0], LEVER_ON_PIPE.build(sizes)[2].solid
     assert isinstance(pipe, Cylinder)
     assert axes.T @ axes == pytest.approx(np.eye(3), abs=1e-12)

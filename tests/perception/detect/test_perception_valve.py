@@ -209,6 +209,11 @@ def test_spokes_are_told_where_they_are_clearly_seen() -> None:
     assert 0.02 < found.hub_radius < 0.045
 
 
+@pytest.mark.parametrize("name", ["turned aside", "tilted up", "turned and tilted", "lying flat"])
+def test_a_hub_is_measured_to_3_mm_also_from_aside(name: str) -> None:
+    assert found_of(name).hub_radius == pytest.approx(VALVES[name].hub_radius, abs=0.003)
+
+
 def test_a_hint_keeps_the_search_near_it() -> None:
     one, two = (VALVES[name] for name in ("forty centimetres", "beyond the hand's reach"))
     hinted = detect_valves(scan_of(TOGETHER[3]), hint=np.array(two.centre) + 0.05)

@@ -115,6 +115,13 @@ def test_rays_that_start_on_the_floor_or_under_it_are_doubted(height: float, is_
     assert any(note.startswith(told) and "give the sensor's position" in note for note in view.notes) is is_told
 
 
+@pytest.mark.parametrize(("height", "unit"), [(1.6, ""), (3.0, ""), (5.2, "ft"), (1500.0, "mm")])
+def test_rays_that_start_as_high_as_a_sensor_in_another_unit_are_doubted(height: float, unit: str) -> None:
+    view = make_view(Cloud(little_scan().points, np.array([0.25, 0.0, height])))
+    said = [note for note in view.notes if "above the floor: is its unit" in note]
+    assert [unit in note for note in said] == ([True] if unit else [])
+
+
 def beside_the_sensor(aside: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Lines of a lidar at the origin, a degree apart: a board along the rays, so far aside, and a wall behind."""
     turn, lift = np.radians(np.arange(-12.0, 20.0, 0.25)), np.radians(np.arange(-12.0, 12.0, 1.0))

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from perception.detect.engine.primitives import Box, Capsule, Cylinder
+from perception.detect.engine.primitives import Box, Cylinder
 from perception.detect.engine.template import Looseness, Part, Size, Starts, Template, columns
 
 Sizes = dict[str, Float[np.ndarray, "B"]]
 _VALVES = "makers' lists of ball and butterfly valves, DN 15 to DN 200: levers 80 to 400 mm long, 12 to 65 mm wide"
 _PIPES = "EN 10220: pipes of DN 15 to DN 200, 21 to 219 mm across"
 _GRIPS = "the same lists: flat bars of 4 mm to grips with a latch under them, 60 mm along the spindle"
+_NECKS = "ISO 5211: flanges F03 to F12 under levers, 36 to 125 mm across; spindles from 16 mm"
 _TAILS = "the same lists: spindles 10 to 70 mm before a lever's end"
-_HALF_PIPE, _NECK, _ROUNDING = 0.25, 0.02, 0.002  # [m]
+_HALF_PIPE, _ROUNDING = 0.25, 0.002  # [m]
 _GAP, _EMPTY = 0.012, 0.025  # from a lever to what must be empty, and half its length beyond the end [m]
 
 
@@ -22,7 +23,7 @@ def _build(s: Sizes) -> tuple[Part, ...]:
     ahead = columns(np.cos(s["bend_rad"]), 0.0, -np.sin(s["bend_rad"]))
     along = _HALF_PIPE * (np.cos(s["pipe_rad"])[:, None] * ahead + np.sin(s["pipe_rad"])[:, None] * across)
     under = -s["stand_off"][:, None] * spindle
-    neck = Capsule(under, -s["lever_thickness"][:, None] * spindle, 0.0 * s["tail"] + _NECK)
+    neck = Cylinder(under, -s["lever_thickness"][:, None] * spindle, s["neck_radius"])
     return (
         Part("lever", _lever(s)),
         Part("neck", neck, False),
@@ -97,6 +98,7 @@ LEVER_ON_PIPE = Template(
         Size("stand_off", 0.03, 0.3, 0.1, 0.05, _VALVES),
         Size("pipe_radius", 0.01, 0.11, 0.05, 0.03, _PIPES),
         Size("pipe_rad", -1.75, 1.75, 0.0, 1.5, "across or along the lever [rad]"),
+        Size("neck_radius", 0.008, 0.0625, 0.02, 0.012, _NECKS),
     ),
     build=_build,
     hollows=lambda s: (_beyond(s), _under(s)),
@@ -109,7 +111,7 @@ LEVER_ON_PIPE = Template(
     starts=Starts(
         sizes=np.array(
             [
-                [0.22, 0.016, 0.01, 0.02, 0.0, off, r, turn]
+                [0.22, 0.016, 0.01, 0.02, 0.0, off, r, turn, 0.02]
                 for off, r in ((0.07, 0.03), (0.11, 0.04), (0.16, 0.06), (0.22, 0.09))
                 for turn in (0.0, 1.57)
             ]
