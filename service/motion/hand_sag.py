@@ -11,7 +11,7 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from service.motion.servo_sag import STIFFNESS_ERROR, list_deflections
-from service.verify import HandLoad, Motion, Phase, find_mechanism_joints
+from service.verify import HandLoad, Motion, Phase, find_mechanism_joints, split_motion
 
 MOST_SHARE = 0.05  # of a travel, by which a hand may fall short of it
 LEAST_TRAVEL_M = 1e-3  # of what counts as moved [m]
@@ -73,7 +73,8 @@ def list_short_hands(motion: Motion, stiffness: Mapping[str, float]) -> tuple[Ha
         motion: as executed.
         stiffness: of every servo by joint [N m/rad, N/m].
     """
-    found = [sag for phase in motion.phases if phase.loads for sag in _measure_phase(motion, phase, stiffness)]
+    parts = zip(motion.phases, split_motion(motion), strict=True)
+    found = [sag for phase, part in parts if phase.loads for sag in _measure_phase(part, phase, stiffness)]
     short = [sag for sag in found if sag.sag_m > MOST_SHARE * sag.travel_m]
     return tuple(sorted(short, key=lambda sag: -sag.stiffer))
 

@@ -130,7 +130,9 @@ def _limit_torques(solver: PhaseSolver, holding: Holding, name: str, hold: Hold)
             forces = np.tile([0.0, 0.0, force], (count, 1))
             limit = HeldTorque(robot, frame_name, np.arange(count), forces, TORQUE_SHARE)
             if len(limit.limited):
-                own.append(Constraint(f"torque of {frame_name}", limit, tolerance=TORQUE_TOLERANCE, unit="1"))
+                own.append(
+                    Constraint(f"torque of {frame_name} with {name}", limit, tolerance=TORQUE_TOLERANCE, unit="1")
+                )
         return (*others(phase, robot, count), *own)
 
     return replace(solver, terms=add)
