@@ -142,6 +142,6 @@ def an_object_that_cannot_jam(folder: Folder) -> None:
     targets.remove(_hole(folder))
 
 
-@CARRIED.lie("peg", stranger=True, level=Level.REMADE)
+@CARRIED.lie("peg", level=Level.REMADE)
 def a_hole_of_a_thousand_times_the_stiffness(folder: Folder) -> None:
     _hole(folder).update(stiffness_n_m=1e7, turn_stiffness_n_m_rad=1.0)

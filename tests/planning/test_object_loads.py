@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from costs.robot import MechanismJoint, make_mechanism_model
 from costs.robot.elements.inertia import LinkInertia
+from costs.robot.servo import DAMPING_S
 from service import parse_request
 from service.demands.hands import HANDS
 from service.demands.mechanism.given import GivenMechanism
@@ -283,6 +284,13 @@ def test_a_turning_mass_pulls_the_slide_that_carries_it() -> None:
 def test_a_mechanism_without_masses_and_damping_keeps_its_pace() -> None:
     found = read_task(slide_urdf(0.0, "-1 0 0", velocity=0.9), [("slide", 0.3)])
     assert (found.mechanism.joints[0].velocity, found.mechanism.joints[0].acceleration) == (0.9, 1.0)
+
+
+def test_servos_lag_behind_a_short_travel_by_a_hundredth_of_it() -> None:
+    found = read_task(slide_urdf(0.0, "-1 0 0", velocity=0.9), [("slide", 0.009)])
+    joint = found.mechanism.joints[0]
+    assert joint.acceleration * DAMPING_S**2 == pytest.approx(0.01 * 0.009)  # behind, as it comes to rest
+    assert joint.velocity == 0.9
 
 
 numbers = st.floats(-1.0, 1.0)

@@ -142,8 +142,8 @@ def make_fit(holding: Holding, given: StepRequest, name: str, q: Float[np.ndarra
     loads: tuple[HandLoad, ...] = ()
     if step.force_n:
         half = 0.5 * led.guide.shift
-        push = step.force_n * fit.axis
-        loads = (HandLoad(step.object, WORLD, led.guide.position + half, push, half, led.tolerance_m),)
+        push, tool = step.force_n * fit.axis, holding.held[step.object].tools[0]
+        loads = (HandLoad(tool, WORLD, led.guide.position + half, push, half, led.tolerance_m),)
     targets: tuple[Target, ...] = (fit.make_target(step.object, led.guide),)
     if given.insert is not None:
         targets = (*targets, fit.make_hole(holding, step, led.guide))

@@ -24,6 +24,7 @@ from service.verify import CoalSolid, DistanceQuery, make_coal_convex
 
 REACHED = 5e-3  # largest residual of a pose that counts as reached [m, rad]
 MOST_TRIED = 48  # grasps whose poses inverse kinematics looks for
+ENOUGH = 8  # of them that are reached everywhere with all links apart, after which no more are looked for
 STEEPEST = 0.4  # largest upward part of the way on which a hand comes
 SEEDS = 2  # configurations from which inverse kinematics starts
 SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
@@ -122,20 +123,24 @@ def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice]) -> list
     """
     poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
     ahead = sorted(choices, key=lambda choice: _measure_turn(pick, choice, poses))
-    ranked = []
+    ranked, n_clear = list[tuple[float, Choice]](), 0
     for choice in ahead[:MOST_TRIED]:
+        if n_clear == ENOUGH:
+            break
         if any(_comes_from_below(choice, place) for place, _ in pick.places):
             continue
         guesses = [body.nominal, *(q for _, q in posture_guesses(body)[1:])]
-        effort, before = 0.0, body.nominal
+        effort, n_inside, before = 0.0, 0, body.nominal
         for place, _ in pick.places:
             q = _reach(body, choice, place, guesses)
             if q is None:
                 break
-            effort += float(np.abs(q - before).sum()) + INSIDE_RAD * (body.measure_nearest(q) < 0.0)
+            effort += float(np.abs(q - before).sum())
+            n_inside += body.measure_nearest(q) < 0.0
             guesses, before = [q, body.nominal], q
         else:
-            ranked.append((effort, choice))
+            ranked.append((effort + INSIDE_RAD * n_inside, choice))
+            n_clear += n_inside == 0
     ranked.sort(key=lambda entry: entry[0])
     return [choice for _, choice in ranked]
 

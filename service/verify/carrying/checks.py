@@ -193,10 +193,8 @@ def _list_wrenches(
     times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
     s, speed, gain = law.at(times)
     slope, bend, q = motion.curve(s, 1), motion.curve(s, 2), motion.curve(s)
-    states = zip(q, slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True)
-    moving = np.array([held.find_moving_wrench(*state) for state in states])
-    still = np.zeros(q.shape[1])
-    return times, s, moving, np.array([held.find_moving_wrench(each, still, still) for each in q])
+    v, acceleration = slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2
+    return times, s, *held.find_wrenches(q, v, acceleration)
 
 
 def _describe_need(share: float, grip: float) -> str:
