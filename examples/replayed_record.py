@@ -234,6 +234,10 @@ def _target(one: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
             yield from (np.radians(_tolerance([one["turn_deg"]])), np.radians(_tolerance(one["turns_deg"])))
             yield from (none if one[key] is None else np.array(one[key]) for key in ("axis", "look"))
             yield from (np.radians(_tolerance([one["lean_deg"]])), np.array(one["during"]), at)
+        case "hole":
+            yield from ("HoleTarget", one["frame"], *(np.array(one[k]) for k in ("position", "axis", "frame_axis")))
+            yield from (np.array(one[k]) for k in ("depth_m", "radius_m", "length_m", "play_m", "friction", "force_n"))
+            yield from (np.array(one[k]) for k in ("stiffness_n_m", "turn_stiffness_n_m_rad"))
         case "way":
             yield from ("WayTarget", one["frame"], np.array(one["position"]), turn)
             yield from (np.array(one[k]) for k in ("centre", "axis", "angle_rad", "shift", "turn_rad"))

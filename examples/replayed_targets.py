@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from replayed_holes import hole
 from replayed_motion import Array, Replay
 from replayed_regions import region
 from replayed_ways import joint_way, way
@@ -20,9 +21,11 @@ Excess = Callable[[float], float]
 
 
 def target(replay: Replay, phase: dict[str, Any], wanted: dict[str, Any]) -> tuple[bool, str]:
-    """Check a pose, circle, axis, region, way or joint value, at one path parameter or along the whole phase."""
+    """Check a pose, circle, axis, region, hole, way or joint value, at one path parameter or along the whole phase."""
     if wanted["kind"] == "region":
         return region(replay, phase, wanted)
+    if wanted["kind"] == "hole":
+        return hole(replay, phase, wanted)
     if wanted["kind"] == "way":
         return way(replay, phase, wanted)
     if wanted["kind"] == "joint_way":

@@ -1,4 +1,4 @@
-"""Edits of what carries an object: another carrier, another mass, another place, let go where nothing holds it."""
+"""Edits of what carries an object, and of the hole that it goes into: carriers, masses, places, friction."""
 
 from __future__ import annotations
 
@@ -109,3 +109,39 @@ def an_allowance_of_the_object_for_the_wall(folder: Folder) -> None:
             "depth": 0.05,
         }
     )
+
+
+def _hole(folder: Folder) -> dict[str, Any]:
+    found: dict[str, Any] = next(target for target in _phase(folder, "in")["targets"] if target["kind"] == "hole")
+    return found
+
+
+@CARRIED.lie("peg")
+def a_hole_less_deep(folder: Folder) -> None:
+    folder.request["task"]["steps"][3]["insert"]["depth_m"] -= 0.02
+
+
+@CARRIED.lie("peg")
+def a_hole_4_mm_beside(folder: Folder) -> None:
+    folder.request["task"]["steps"][3]["insert"]["at"][0] += 0.004
+
+
+@CARRIED.lie("peg", level=Level.FITTED)
+def a_hole_without_friction(folder: Folder) -> None:
+    _hole(folder)["friction"] = 1e-3
+
+
+@CARRIED.lie("peg", level=Level.FITTED)
+def a_hand_that_yields_to_every_wall(folder: Folder) -> None:
+    _hole(folder).update(stiffness_n_m=10.0, turn_stiffness_n_m_rad=1.0)
+
+
+@CARRIED.lie("peg", level=Level.REMADE)
+def an_object_that_cannot_jam(folder: Folder) -> None:
+    targets = _phase(folder, "in")["targets"]
+    targets.remove(_hole(folder))
+
+
+@CARRIED.lie("peg", level=Level.REMADE)
+def a_hole_of_a_thousand_times_the_stiffness(folder: Folder) -> None:
+    _hole(folder).update(stiffness_n_m=1e7, turn_stiffness_n_m_rad=1.0)

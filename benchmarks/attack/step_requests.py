@@ -79,7 +79,7 @@ def peg_request(urdf: Path, **changes: Any) -> dict[str, Any]:
     holes = [*make_hole("from", FROM), *make_hole("into", INTO)]
     peg = {"name": "peg", "size": [WIDTH, WIDTH, 0.14], "position": [*FROM, TOP + 0.07], "mass_kg": 0.4}
     request = pick_place_request(urdf, block=peg, obstacles=holes, object="peg")
-    fit = {"object": "peg", "clearance_m": CLEARANCE, "chamfer_m": 0.001, "depth_m": UP, "force_n": 5.0}
+    fit = {"object": "peg", "clearance_m": CLEARANCE, "chamfer_m": 0.001, "depth_m": UP, "force_n": 12.0}
     over = {"link": "peg", "position": [*INTO, TOP + 0.07 + UP], "quaternion_wxyz": [1, 0, 0, 0]}
     names = ("left", "right", "far", "near")
     steps: list[dict[str, Any]] = [

@@ -120,7 +120,10 @@ def draw_debris(place: Place, rng: np.random.Generator) -> Data:
 
 
 def draw_hose(place: Place, rng: np.random.Generator) -> Data:
-    """Return the end of a hose that stands on a bench, and a standpipe that points upwards, a square hole here."""
+    """Return the end of a hose that stands on a bench, and a standpipe that points upwards, a square hole here.
+
+    In every other draw it goes to the bottom, and is turned in two grips.
+    """
     top, first, second = place.draw(rng)
     radius, depth, play = _draw(rng, (0.016, 0.022), (0.02, 0.04), (2e-3, 5e-3))
     walls = make_hole("pipe", second, top, 2.0 * radius + play, depth)
@@ -130,6 +133,9 @@ def draw_hose(place: Place, rng: np.random.Generator) -> Data:
         "to": [*second, top + 0.5 * height + 8e-3], "axis": [0, 0, -1], "depth": depth, "clearance": play,
         "turn": float(rng.uniform(15.0, 45.0)), "pieces": [wall["name"] for wall in walls],
     }  # fmt: skip
+    if rng.random() < 0.5:
+        rests = {"to": [*second, top + 0.5 * height], "pieces": [*values["pieces"], "table"], "regrasps": 1}
+        values |= rests
     return _request(place, top, walls, {**item, "position": [*first, top + 0.5 * height]}, "hose", values)
 
 

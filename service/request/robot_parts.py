@@ -46,12 +46,14 @@ class RobotServoRequest(Section):
         stiffness: by joint, by group of the SRDF, or by a word of joint names such as ``leg`` [N m/rad, N/m]; joints
             that are not named have the robot's default.
         hand_stiffness_n_m: of a hand on its arm against a rigid surface.
+        hand_turn_stiffness_n_m_rad: of a hand on its arm against a turn about any axis.
         reaction_s: from the touch of a hand until it stops: its force is seen, and the arm comes to rest.
         force_noise_n: of the measured force of a hand.
     """
 
     stiffness: Annotated[dict[Name, Stiffness], at_most(200)] = field(default_factory=dict)
     hand_stiffness_n_m: Annotated[Number, Field(ge=10.0, le=1e7)] = 1e4
+    hand_turn_stiffness_n_m_rad: Annotated[Number, Field(ge=1.0, le=1e6)] = 1500.0
     reaction_s: Annotated[Number, Field(ge=1e-3, le=5.0)] = 0.25
     force_noise_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 10.0
 

@@ -91,6 +91,7 @@ ADDED = {
         "RobotRequest.decompose",
         "RobotServoRequest.force_noise_n",
         "RobotServoRequest.hand_stiffness_n_m",
+        "RobotServoRequest.hand_turn_stiffness_n_m_rad",
         "RobotServoRequest.reaction_s",
         "SceneRequest.objects",
         "SceneRequest.level",

@@ -21,6 +21,7 @@ from service.verify import (
     HandLoad,
     HandPush,
     HeldJoint,
+    HoleTarget,
     JointTarget,
     JointWayTarget,
     LoadedRegion,
@@ -348,6 +349,15 @@ _TARGETS: Mapping[str, tuple[type[Target], Mapping[str, _Codec]]] = {
             "lean_deg": _FREE_ANGLE,
             "during": _VECTOR,
             "at": _or_null(_SAMPLE),
+        },
+    ),
+    "hole": (
+        HoleTarget,
+        {
+            "frame": _TEXT,
+            **dict.fromkeys(("position", "axis", "frame_axis"), _VECTOR),
+            **dict.fromkeys(("depth_m", "radius_m", "length_m", "play_m", "friction", "force_n"), _NUMBER),
+            **dict.fromkeys(("stiffness_n_m", "turn_stiffness_n_m_rad"), _NUMBER),
         },
     ),
     "way": (

@@ -25,7 +25,8 @@ class Perturbation:
     """Errors of one simulation.
 
     Attributes:
-        places: displacement by piece (3,) [m]; none of pieces that carry the robot's first pose.
+        places: displacement by piece (3,) [m]; none of pieces that carry the robot's first pose, and the same of pieces
+            that an object may touch in one phase: the walls of its hole, and what is below them, are one body.
         masses: factor by joint of the robot's model.
         friction: added to the coefficient between robot and world.
         start: (k,) error of the servo joints when the robot is put down [rad, m].
@@ -52,6 +53,9 @@ def draw_perturbation(motion: Motion, is_turning: np.ndarray, options: Simulatio
     for piece in motion.scene.pieces:
         error = draw(-size * PLACE_M, size * PLACE_M, 3)
         places[piece.name] = np.zeros(3) if _is_near(piece.vertices, held) else error
+    for names in group_pieces(motion):
+        still = [name for name in names if not places[name].any()]
+        places |= dict.fromkeys(names, places[(still or names)[0]])
     masses = {
         joint: float(draw(1.0 - size * MASS_SHARE, 1.0 + size * MASS_SHARE))
         for joint in range(1, motion.robot.model.njoints)
@@ -59,6 +63,22 @@ def draw_perturbation(motion: Motion, is_turning: np.ndarray, options: Simulatio
     friction = float(draw(-size * FRICTION, size * FRICTION))
     reach = size * JOINT_RAD * np.where(is_turning, 1.0, 0.1)
     return Perturbation(places, masses, friction, draw(-reach, reach))
+
+
+def group_pieces(motion: Motion) -> list[list[str]]:
+    """Return the names of pieces that objects may touch together in a phase, in groups without a common piece."""
+    items, order = {item.name for item in motion.objects}, [piece.name for piece in motion.scene.pieces]
+    groups: list[set[str]] = []
+    for phase in motion.phases:
+        touched: dict[str, set[str]] = {}
+        for allowance in phase.allowances:
+            one, other = allowance.first, allowance.second
+            if one.link in items and other.owner == "scene" and other.body in order:
+                touched.setdefault(str(one.link), set()).add(other.body)
+        for names in touched.values():
+            apart = [group for group in groups if not group & names]
+            groups = [*apart, names.union(*(group for group in groups if group & names))]
+    return [sorted(group, key=order.index) for group in groups if len(group) > 1]
 
 
 def _is_near(vertices: Float[np.ndarray, "V 3"], points: Float[np.ndarray, "C 3"]) -> bool:

@@ -200,6 +200,38 @@ class RelativePoseTarget:
 
 
 @dataclass(frozen=True)
+class HoleTarget:
+    """An object goes into a hole without jamming, during the whole phase.
+
+    Attributes:
+        frame: the object.
+        position: (3,) a point of the hole's axis, in the world [m].
+        axis: (3,) unit, into the hole, in the world.
+        frame_axis: (3,) unit axis of the object that goes along it.
+        depth_m: by which the object goes in, at most.
+        radius_m: half the hole's width.
+        length_m: of the object along its axis: the hand is no farther than that from its end.
+        play_m: width of the hole less that of the object.
+        friction: largest coefficient between them.
+        force_n: largest force along the hole [N].
+        stiffness_n_m, turn_stiffness_n_m_rad: of the hand, across the hole and against a turn.
+    """
+
+    frame: str
+    position: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    frame_axis: Float[np.ndarray, "3"]
+    depth_m: float
+    radius_m: float
+    length_m: float
+    play_m: float
+    friction: float
+    force_n: float
+    stiffness_n_m: float
+    turn_stiffness_n_m_rad: float
+
+
+@dataclass(frozen=True)
 class WayTarget:
     """A frame moves along a way from its beginning to its end, during the whole phase.
 
@@ -400,6 +432,7 @@ Target = (
     | AxisTarget
     | RelativePoseTarget
     | RegionTarget
+    | HoleTarget
     | WayTarget
     | JointWayTarget
     | JointTarget

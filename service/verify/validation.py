@@ -14,6 +14,7 @@ from service.request.paces import PACES
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
+    HoleTarget,
     JointTarget,
     JointWayTarget,
     Motion,
@@ -244,6 +245,13 @@ def _places(target: Target) -> Iterator[np.ndarray | float]:
     if isinstance(target, CircleTarget):
         yield target.centre
         yield target.radius
+    if isinstance(target, HoleTarget):
+        yield target.position
+        for name in ("depth_m", "radius_m", "play_m", "friction", "stiffness_n_m", "turn_stiffness_n_m_rad"):
+            if not 0.0 < getattr(target, name) < np.inf:
+                raise VerifyError(
+                    f"{name} of the hole of '{target.frame}' must be above 0, got {getattr(target, name)}"
+                )
     if isinstance(target, WayTarget):
         yield target.position
         yield target.centre
@@ -276,7 +284,7 @@ def _region_places(target: RegionTarget) -> Iterator[np.ndarray | float]:
 
 
 def _list_axes(
-    target: CircleTarget | AxisTarget | RelativePoseTarget | WayTarget,
+    target: CircleTarget | AxisTarget | RelativePoseTarget | WayTarget | HoleTarget,
 ) -> tuple[np.ndarray | None, ...]:
     """Return the directions of a target, which are unit vectors."""
     if isinstance(target, RelativePoseTarget):
@@ -299,6 +307,8 @@ def _tolerances(target: Target) -> tuple[np.ndarray | float, ...]:
         return target.radius_m, target.distance_m, target.turn_rad, target.turns_rad, target.lean_rad
     if isinstance(target, AxisTarget):
         return (target.tolerance_rad,)
+    if isinstance(target, HoleTarget):
+        return target.length_m, target.force_n
     return target.tolerance_m, target.axis_tolerance_rad
 
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from small_plan import small_plan
 
-from costs.scene import ConvexPiece
+from costs.allowance import Allowance, BodyRef
+from costs.robot.carried import MovableObject
+from costs.robot.elements.inertia import LinkInertia
+from costs.scene import ConvexPiece, Scene
 from service.errors import RequestError
 from service.simulation.options import SimulationOptions
-from service.simulation.perturb import FRICTION, JOINT_RAD, MASS_SHARE, PLACE_M, draw_perturbation
+from service.simulation.perturb import FRICTION, JOINT_RAD, MASS_SHARE, PLACE_M, draw_perturbation, group_pieces
 
 BOX = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-0.1, 0.0)])
 
@@ -55,3 +58,23 @@ def test_without_errors_nothing_changes(motion):
 def test_a_negative_size_is_refused():
     with pytest.raises(RequestError, match="perturb"):
         SimulationOptions(perturb=-1.0)
+
+
+def test_what_an_object_may_touch_together_is_displaced_as_one(motion):
+    def touch(item, *names):
+        return tuple(Allowance(BodyRef.of_link(item), BodyRef.of_piece(name), 1e-3) for name in names)
+
+    item = MovableObject("peg", BOX, LinkInertia(1.0, np.zeros(3), np.eye(3)), np.eye(4))
+    names = ("shelf", "left", "right", "table", "post")
+    pieces = tuple(ConvexPiece(name, BOX + np.array([2.0 + k, 0.0, 1.0])) for k, name in enumerate(names))
+    first, last = motion.phases
+    phases = (
+        replace(first, allowances=(*touch("peg", "table", "left"), *touch("r_hand", "post", "shelf"))),
+        replace(last, allowances=touch("peg", "right", "left")),
+    )
+    own = replace(motion, objects=(item,), scene=Scene(pieces), phases=phases)
+    assert group_pieces(own) == [["left", "right", "table"]]
+    places = draw(own, 2).places
+    np.testing.assert_array_equal(places["left"], places["table"])
+    np.testing.assert_array_equal(places["left"], places["right"])
+    assert len({tuple(place) for place in places.values()}) == 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 from shared_plans import write_undrawn
+from stranger import load_checker
 
 from benchmarks.attack.gantry_files import write_gantry
 from benchmarks.attack.step_requests import DEPTH, FROM, INTO, TOP, peg_request
 from service.demands.regions import SMALLEST_TURN
 from service.demands.steps.compile import LEVEL_DEG
 from service.demands.steps.extent import NamedStep
-from service.errors import RequestError, ResultError
+from service.errors import RequestError
+from service.motion.hand_sag import list_short_hands
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import parse_request
@@ -45,6 +46,9 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
     assert checks["way.in.peg"]["limit"] == 1e-3
     assert checks["keep.in.peg.world"]["limit"] == pytest.approx(0.002)  # chamfer and half of the clearance
     assert checks["keep.in.peg.world.rotation"]["limit"] == pytest.approx(0.002 / (0.6 * 0.042))
+    assert checks["jam.in.peg"]["basis"] == "proof"
+    assert 0.0 < checks["jam.in.peg"]["value"] < checks["jam.in.peg"]["limit"] == 20.0
+    assert "jam.out.peg" not in checks  # what is drawn out is not pressed in
     assert {"rests.take: close.peg", "grip.across.peg", "rests.let go: open.peg"} <= checks.keys()
     level = max(np.deg2rad(LEVEL_DEG), SMALLEST_TURN)  # it is put down later
     assert checks["target.across.peg.rotation"]["limit"] == pytest.approx(level)
@@ -53,14 +57,33 @@ def test_a_peg_goes_from_hole_to_hole_and_is_certified_anew(folder: Path) -> Non
 def test_grips_hold_what_the_object_presses(folder: Path, urdf: Path) -> None:
     data = json.loads((folder / "result.json").read_text())
     checks = {check["name"]: check for check in data["certificate"]["checks"]}
-    # Two pads of 40 N hold 24 N by a friction of 0.3: 3.9 N of weight, and 5 N of a hole that holds the peg back.
-    least = (0.4 * 9.81 + 5.0) / 24.0
+    # Two pads of 40 N hold 24 N by a friction of 0.3: 3.9 N of weight, and 12 N of a hole that holds the peg back.
+    least = (0.4 * 9.81 + 12.0) / 24.0
     share = checks["carried.out.peg"]["value"]
     assert least < share < 1.3 * least  # the force acts up to 4 mm beside the peg's axis
-    assert share > checks["carried.across.peg"]["value"] + 5.0 / 24.0 - 0.02
+    assert share > checks["carried.across.peg"]["value"] + 12.0 / 24.0 - 0.02
     result = plan(parse_request(peg_request(urdf, out={"force_n": 30.0})))
     assert result.verdict.value not in ("CERTIFIED", "FEASIBLE_AT_SAMPLES")
     assert any("do not hold peg of 0.4 kg, which presses with up to 30 N" in line for line in result.explanation)
+
+
+def test_a_stranger_finds_that_the_peg_does_not_jam_and_what_would_make_it_jam(folder: Path) -> None:
+    checker, data = load_checker(), json.loads((folder / "result.json").read_text())
+    parts = checker.split(checker.Replay(checker.read_model(folder, data), data), data)
+    replay, phase = next((own, phase) for own, _, phases in parts for phase in phases if phase["name"] == "in")
+    (hole,) = [target for target in phase["targets"] if target["kind"] == "hole"]
+    assert checker.target(replay, phase, hole)[0]
+    beside = {**hole, "position": [hole["position"][0] + 1e-3, *hole["position"][1:]]}  # 10 N across, 6 of friction
+    assert checker.target(replay, phase, beside)[0]
+    for change in ({"force_n": 5.0}, {"stiffness_n_m": 1e6}, {"friction": 3.0}):
+        assert not checker.target(replay, phase, {**beside, **change})[0]
+
+
+def test_an_object_that_may_jam_has_no_certificate(urdf: Path) -> None:
+    result = plan(parse_request(peg_request(urdf, **{"in": {"force_n": 0.0}})))
+    assert result.verdict.value == "FEASIBLE_AT_SAMPLES"
+    assert "not shown that peg does not jam during in" in " ".join(result.explanation)
+    assert "force_n is 0 N" in " ".join(result.explanation)
 
 
 def test_what_a_later_step_releases_is_known_to_every_step_before(urdf: Path) -> None:
@@ -101,38 +124,12 @@ def test_the_peg_is_in_the_other_hole_in_physics(folder: Path) -> None:
     (run,) = execute_folder(folder)
     judged = judge(run.reference, run.record, run.model.physics)
     assert (judged.verdict, judged.reasons) == ("DONE", ())
+    motion = run.reference.motion
+    # The hand presses what it carries along its hole, and nothing that moves.
+    assert list_short_hands(motion, dict.fromkeys(motion.robot.joint_names, 1e4)) == ()
     track = run.record.objects["peg"]
     np.testing.assert_allclose(track[-1, :3], [*INTO, TOP + 0.07], atol=3e-3)
     assert track[:, 2].max() > TOP + DEPTH + 0.07  # it was out of the hole in between
-
-
-def _deeper(data: dict[str, Any]) -> None:
-    data["request"]["task"]["steps"][3]["insert"]["depth_m"] -= 0.02
-
-
-def _wedge(data: dict[str, Any]) -> None:
-    data["request"]["task"]["steps"][3]["insert"]["at"][0] += 0.004
-
-
-def _hold(data: dict[str, Any]) -> None:
-    data["phases"][-1]["carriers"][0] = copy.deepcopy(data["phases"][4]["carriers"][0])
-
-
-@pytest.mark.parametrize("edit", [_deeper, _wedge, _hold])
-def test_a_changed_record_is_not_believed(folder: Path, tmp_path: Path, edit: Any) -> None:
-    data = json.loads((folder / "result.json").read_text())
-    edit(data)
-    for path in folder.rglob("*"):
-        if path.is_file() and path.name not in ("result.json", "manifest.json"):
-            copied = tmp_path / path.relative_to(folder)
-            copied.parent.mkdir(parents=True, exist_ok=True)
-            copied.write_bytes(path.read_bytes())
-    (tmp_path / "result.json").write_text(json.dumps(data))
-    try:
-        again = verify_result(tmp_path)
-    except ResultError:
-        return
-    assert again["verdict"] != "CERTIFIED"
 
 
 STUCK = {

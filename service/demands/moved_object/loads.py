@@ -17,12 +17,14 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.robot import MechanismJoint, Release, make_mechanism_model
+from costs.robot.servo import DAMPING_S
 from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 
 AT_STOP = 1e-6  # by which a joint at its stop may be off [rad, m]
 LEAST_LOAD = 1e-6  # smaller loads count as none [N m, N]
 ANGLE_ROUNDING = 1e-5  # of a file's angles: what weight does to a joint that is off by this holds itself [rad]
 INERTIA_SHARE = 0.2  # of what an object opposes at rest, that its inertia may come to
+LAG_SHARE = 0.01  # of a travel, by which servos may lag behind as it ends
 SLOWEST_S = 10.0  # a move is not made slower than this because of inertia
 _ANGLES = 2.0 * np.pi * np.arange(5) / 5.0  # of the waves of up to two periods per turn: 1, cos, sin, cos 2, sin 2
 _PLACES = np.array([-1.0, 0.0, 1.0])  # of a quadratic [m]
@@ -281,12 +283,16 @@ def choose_pace(
 ) -> Iterator[MechanismJoint]:
     """Yield the joints with the limits of speed and acceleration that the loads are made for.
 
+    A short travel takes at least 0.6 s: position servos lag behind by the acceleration times the square of their time
+    constant as a motion ends, which then is a hundredth of the travel.
     A joint with a mass is moved so gently that its inertia comes to a fifth of what it opposes at rest: the object then
     never runs ahead of a hand that pushes it against its friction or weight.  A move takes no longer than 10 s for it.
     From rest to rest the speed is at most the root of acceleration times travel.
     """
     for index, joint in enumerate(moved.joints):
         own = [(first, last) for first, last in moves if last[index] != first[index]]
+        lags = (LAG_SHARE * float(abs(last[index] - first[index])) / DAMPING_S**2 for first, last in own)
+        joint = replace(joint, acceleration=min([joint.acceleration, *lags]))
         if not own or not (moved.has_masses or joint.damping):
             yield joint
             continue

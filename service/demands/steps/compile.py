@@ -141,7 +141,7 @@ def _list_makers(
     if step.release is not None:
         return tuple(list_release(holding, step.release, name, released))
     if step.fit is not None:
-        return (PhaseMaker(name, partial(make_fit, holding, step.fit, name)),)
+        return (PhaseMaker(name, partial(make_fit, holding, step, name)),)
     return ()
 
 

@@ -17,6 +17,7 @@ from service.demands.grasping.gripper import Gripper, list_grippers
 from service.demands.grasping.objects import find_object
 from service.demands.phase import TaskPhase
 from service.errors import RequestError
+from service.request.robot_parts import RobotServoRequest
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.step_objects import HoldStep
@@ -80,6 +81,18 @@ class Hold:
         grips = (Grip(own.fingers, min(self.force_n, own.force_n), self.friction) for own in self.grippers)
         return Carrier(name, self.grippers[0].link, tuple(grips))
 
+    def find_stiffness(self, servo: RobotServoRequest) -> tuple[float, float]:
+        """Return the stiffness of the hands together against a shift and against a turn [N/m, N m/rad].
+
+        Args:
+            servo: of one hand.
+        """
+        places = np.array([np.zeros(3), *(pose[:3, 3] for pose in self.chain.values())])
+        arms = np.linalg.norm(places - places.mean(axis=0), axis=1)
+        shift = len(places) * servo.hand_stiffness_n_m
+        turn = len(places) * servo.hand_turn_stiffness_n_m_rad + servo.hand_stiffness_n_m * float(arms @ arms)
+        return shift, turn
+
     def list_chain(self) -> tuple[RelativePoseTarget, ...]:
         """Return the promises that further hands keep their poses against the first."""
         leading = self.tools[0]
@@ -98,6 +111,7 @@ class Holding:
         scene: the pieces.
         items: that the steps take, by name.
         friction: least coefficient between hands and objects.
+        servo: what the request says of hands that meet a surface.
         resting: (4, 4) poses in the world of those that the world carries, by name.
         held: the others, by name.
         fresh: pieces and objects that the object touches which the step before has taken, by its name.
@@ -108,6 +122,7 @@ class Holding:
     scene: Scene
     items: Mapping[str, Item]
     friction: float
+    servo: RobotServoRequest
     resting: Mapping[str, Float[np.ndarray, "4 4"]]
     held: Mapping[str, Hold] = field(default_factory=dict)
     fresh: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -126,7 +141,7 @@ class Holding:
                 found = find_object(request, step.taken.object, f"task.steps[{k}].{step.kind}.object")
                 items[step.taken.object] = Item(*found)
         resting = {name: item.body.start for name, item in items.items()}
-        return Holding(robot, scene, items, request.options.hand_friction[0], resting)
+        return Holding(robot, scene, items, request.options.hand_friction[0], request.hand_servo, resting)
 
     @property
     def objects(self) -> tuple[MovableObject, ...]:

@@ -20,7 +20,8 @@ from service.demands.steps.phases import Led, PhaseMaker, StepPhase
 from service.demands.targets import make_pose_goal
 from service.request.tasks.reach import GoalRequest
 from service.request.tasks.step_objects import FitStep, GraspStep, ReleaseStep
-from service.verify import WORLD, HandLoad, RelativePoseTarget, place_frames
+from service.request.tasks.steps import StepRequest
+from service.verify import WORLD, HandLoad, HoleTarget, RelativePoseTarget, Target, place_frames
 
 REACH, ENTER, CLOSE, OPEN, LEAVE = "reach", "enter", "close", "open", "leave"
 BEFORE_M, BEFORE_DEG = 1e-4, 0.1  # of a tool before an object
@@ -123,11 +124,13 @@ def _hold_grasps(
         yield RelativePoseTarget(tool, item.name, pose[:3, 3], pose[:3, :3], GRASP_M, GRASP_RAD)
 
 
-def make_fit(holding: Holding, step: FitStep, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
+def make_fit(holding: Holding, given: StepRequest, name: str, q: Float[np.ndarray, "n"]) -> StepPhase:
     """Return the straight way of an object into a hole or out of it, from where it is beside the hole's axis.
 
     The object's own axis that is nearest to the hole's is brought along it, its origin onto it.
     """
+    step = given.fit
+    assert step is not None
     pose, item = holding.locate(step.object, q), holding.items[step.object].body
     fit = Fit.of(step, item, pose)
     begin = pose.copy()
@@ -141,7 +144,10 @@ def make_fit(holding: Holding, step: FitStep, name: str, q: Float[np.ndarray, "n
         half = 0.5 * led.guide.shift
         push = step.force_n * fit.axis
         loads = (HandLoad(step.object, WORLD, led.guide.position + half, push, half, led.tolerance_m),)
-    return StepPhase(name, (led,), touches=touches, loads=loads, targets=(fit.make_target(step.object, led.guide),))
+    targets: tuple[Target, ...] = (fit.make_target(step.object, led.guide),)
+    if given.insert is not None:
+        targets = (*targets, fit.make_hole(holding, step, led.guide))
+    return StepPhase(name, (led,), touches=touches, loads=loads, targets=targets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +161,8 @@ class Fit:
         turn: (3, 3) that brings its axis along the hole's.
         lateral_m: largest distance from the axis with which it still finds into the hole.
         tilt_rad: largest angle with which it does not wedge.
+        width_m: of the hole.
+        length_m: of the object along its own axis.
     """
 
     axis: Float[np.ndarray, "3"]
@@ -163,6 +171,8 @@ class Fit:
     turn: Float[np.ndarray, "3 3"]
     lateral_m: float
     tilt_rad: float
+    width_m: float
+    length_m: float
 
     @staticmethod
     def of(step: FitStep, item: MovableObject, pose: Float[np.ndarray, "4 4"]) -> Fit:
@@ -178,9 +188,11 @@ class Fit:
             off = beside - (beside @ axis) * axis
         here = pose[:3, :3] @ own
         turn, _ = Rotation.align_vectors(axis[None], here[None])
-        width = float(np.delete(np.ptp(item.vertices, axis=0), k).max()) + step.clearance_m
+        size = np.ptp(item.vertices, axis=0)
+        width = float(np.delete(size, k).max()) + step.clearance_m
         tilt = step.clearance_m / (step.friction * width)
-        return Fit(axis, own, off, turn.as_matrix(), step.chamfer_m + 0.5 * step.clearance_m, tilt)
+        lateral = step.chamfer_m + 0.5 * step.clearance_m
+        return Fit(axis, own, off, turn.as_matrix(), lateral, tilt, width, float(size[k]))
 
     @property
     def tilted_rad(self) -> float:
@@ -192,3 +204,21 @@ class Fit:
         half = 0.5 * guide.shift
         place, turned = guide.position + half, guide.rotation
         return RelativePoseTarget(name, None, place, turned, self.lateral_m, self.tilt_rad, self.own, half)
+
+    def make_hole(self, holding: Holding, step: FitStep, guide: Guide) -> HoleTarget:
+        """Return the promise that the object does not jam under what the stiffness of its hands exerts."""
+        shift, turn = holding.held[step.object].find_stiffness(holding.servo)
+        return HoleTarget(
+            step.object,
+            guide.position,
+            self.axis,
+            self.own,
+            step.depth_m,
+            0.5 * self.width_m,
+            self.length_m,
+            step.clearance_m,
+            step.friction,
+            step.force_n,
+            shift,
+            turn,
+        )

@@ -1,4 +1,4 @@
-"""Expressions in task files: numbers, lists and texts, sums and products of them, and a few functions."""
+"""Expressions in task files: numbers, lists and texts, sums and products, a few functions, and repeated entries."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from service.errors import would_do
 
 MAX_LENGTH = 200
 MAX_DEPTH = 20
+REPEAT, OF, ROUND = "repeat", "of", "round"
+MOST_ROUNDS = 20
 PLACE = re.compile(r"\$\{([^{}]*)\}")
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "sin": lambda angle_deg: math.sin(math.radians(angle_deg)),
@@ -41,19 +43,41 @@ class ExpressionError(ValueError):
 def fill_in(data: Any, values: Mapping[str, Any]) -> Any:
     """Return plain data with every ``${...}`` replaced; a text that is nothing else becomes the value itself.
 
+    An entry ``{repeat: N, of: [...]}`` of a list stands for its entries N times, in which ``round`` counts from 1.
+
     Raises:
-        ExpressionError: an expression cannot be evaluated.
+        ExpressionError: an expression cannot be evaluated, or a number of repetitions is none.
     """
     if isinstance(data, Mapping):
         return {key: fill_in(value, values) for key, value in data.items()}
     if isinstance(data, list | tuple):
-        return [fill_in(value, values) for value in data]
+        filled: list[Any] = []
+        for value in data:
+            if isinstance(value, Mapping) and REPEAT in value:
+                filled += _repeat(value, values)
+            else:
+                filled.append(fill_in(value, values))
+        return filled
     if not isinstance(data, str):
         return data
     whole = PLACE.fullmatch(data.strip())
     if whole is not None:
         return evaluate(whole[1], values)
     return PLACE.sub(lambda place: _write(evaluate(place[1], values)), data)
+
+
+def _repeat(entry: Mapping[str, Any], values: Mapping[str, Any]) -> list[Any]:
+    """Return the entries that are repeated, once per round."""
+    count, entries = fill_in(entry[REPEAT], values), entry.get(OF)
+    if set(entry) != {REPEAT, OF} or not isinstance(entries, list):
+        raise ExpressionError(
+            f"{REPEAT}: expected {{{REPEAT}: a number, {OF}: a list}}, got {', '.join(map(str, entry))}"
+        )
+    is_whole = isinstance(count, int | float) and not isinstance(count, bool) and count == int(count)
+    if not is_whole or not 0 <= count <= MOST_ROUNDS:
+        raise ExpressionError(f"{REPEAT}: expected a whole number from 0 to {MOST_ROUNDS}, got {count}")
+    rounds = ({**values, ROUND: float(number)} for number in range(1, int(count) + 1))
+    return [own for names in rounds for own in fill_in(entries, names)]
 
 
 def _write(value: Any) -> str:

@@ -79,7 +79,8 @@ class FitStep(Section):
         clearance_m: width of the hole less that of the object [m].
         chamfer_m: of the hole's edge, or of the object's [m].
         friction: largest coefficient between them.
-        force_n: largest force with which the hole holds the object back [N].
+        force_n: largest force along the hole: the feet hold the robot under it, and an object that goes in does not jam
+            within it [N].
         speed_m_s: of the object between its ramps.
     """
 
@@ -91,7 +92,7 @@ class FitStep(Section):
     pieces: Annotated[tuple[Name, ...], at_most(64)] = ()
     chamfer_m: Annotated[Number, Field(ge=0.0, le=0.1)] = 0.0
     friction: Annotated[Number, Field(gt=0.0, le=2.0)] = 0.6
-    force_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
+    force_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 20.0
     speed_m_s: Annotated[Number, Field(gt=0.0, le=1.0)] = 0.05
 
     def __post_init__(self) -> None:

@@ -24,6 +24,7 @@ from service.verify import CoalSolid, DistanceQuery, make_coal_convex
 
 REACHED = 5e-3  # largest residual of a pose that counts as reached [m, rad]
 MOST_TRIED = 48  # grasps whose poses inverse kinematics looks for
+MOST_CHOICES = 6  # of them that are planned; once so many are reached with all links apart, no more are looked for
 STEEPEST = 0.4  # largest upward part of the way on which a hand comes
 SEEDS = 2  # configurations from which inverse kinematics starts
 SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
@@ -133,20 +134,25 @@ def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice]) -> list
     """
     poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
     ahead = sorted(choices, key=lambda choice: _measure_turn(pick, choice, poses))
-    ranked = []
+    ranked, n_clear = list[tuple[float, Choice]](), 0
     for choice in ahead[:MOST_TRIED]:
+        if n_clear == MOST_CHOICES:
+            break
         if any(_comes_from_below(choice, place) for place, _ in pick.places):
             continue
-        guesses = [body.nominal, *(q for _, q in posture_guesses(body)[1:])]
-        effort, before = 0.0, body.nominal
+        guesses = [_open_fingers(body, choice, q) for q in (body.nominal, *(q for _, q in posture_guesses(body)[1:]))]
+        nominal = before = guesses[0]
+        effort, n_inside = 0.0, 0
         for place, _ in pick.places:
             q = _reach(body, choice, place, guesses)
             if q is None:
                 break
-            effort += float(np.abs(q - before).sum()) + INSIDE_RAD * (body.measure_nearest(q) < 0.0)
-            guesses, before = [q, body.nominal], q
+            effort += float(np.abs(q - before).sum())
+            n_inside += body.measure_nearest(q) < 0.0
+            guesses, before = [q, nominal], q
         else:
-            ranked.append((effort, choice))
+            ranked.append((effort + INSIDE_RAD * n_inside, choice))
+            n_clear += n_inside == 0
     ranked.sort(key=lambda entry: entry[0])
     return [choice for _, choice in ranked]
 
@@ -159,6 +165,14 @@ def hold_grasps(body: WholeBody, choice: Choice, pose_world_item: Float[np.ndarr
         )
         for grasp in choice.grasps
     )
+
+
+def _open_fingers(body: WholeBody, choice: Choice, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Return a configuration with the hands open as they come to the object."""
+    opened = q.copy()
+    for joint, value in (entry for grasp in choice.grasps for entry in grasp.opened.items()):
+        opened[body.robot.joint_names.index(joint)] = value
+    return opened
 
 
 def _reach(

@@ -31,13 +31,19 @@ from service.setup.prepare import PlanSetup
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.handling import FARTHER, find_collisions
 from service.tasks.sequence import add_mechanism
-from service.tasks.steps.choices import Pick, find_blocked, list_choices, list_off_middle, rank_choices
+from service.tasks.steps.choices import (
+    MOST_CHOICES,
+    Pick,
+    find_blocked,
+    list_choices,
+    list_off_middle,
+    rank_choices,
+)
 from service.tasks.steps.pushed import plan_part
 from service.tasks.steps.refusals import describe_weight, find_obstacle
 from service.tasks.steps.solve import StepSolver, Tried
 from service.tasks.steps.weights import limit_own_torques, place_objects
 
-MOST_CHOICES = 6  # grasps that are planned
 NEAR_M = 0.06  # of a piece from an object, to count as beside it
 
 

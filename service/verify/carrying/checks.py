@@ -202,14 +202,10 @@ def _list_wrenches(
     times = list_sample_times(motion, law, phase.first, phase.last, 5.0 * settings.time_step_s)
     s, speed, gain = law.at(times)
     slope, bend, q = motion.curve(s, 1), motion.curve(s, 2), motion.curve(s)
-    states = zip(q, slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2, strict=True)
-    moving = np.array([held.find_moving_wrench(*state) for state in states])
-    still = np.zeros(q.shape[1])
-    resting = np.array([held.find_moving_wrench(each, still, still) for each in q])
-    corners = held.list_pressing(s)
-    many = len(corners)
-    moved, rested = ((corners + own).reshape(-1, 6) for own in (moving, resting))
-    return np.tile(times, many), np.tile(s, many), moved, rested
+    v, acceleration = slope * speed[:, None], slope * gain[:, None] + bend * speed[:, None] ** 2
+    corners, wrenches = held.list_pressing(s), held.find_wrenches(q, v, acceleration)
+    moving, resting = ((corners + own).reshape(-1, 6) for own in wrenches)
+    return np.tile(times, len(corners)), np.tile(s, len(corners)), moving, resting
 
 
 def _describe_need(share: float, grip: float) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from costs.robot import LinkBody
 from costs.robot.carried import MovableObject
+from costs.rotation import cross
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
@@ -141,24 +142,25 @@ class Held:
             most += float(np.linalg.norm(forces) + np.linalg.norm(moments))
         return most
 
-    def find_moving_wrench(
-        self, q: Float[np.ndarray, "n"], v: Float[np.ndarray, "n"], a: Float[np.ndarray, "n"]
-    ) -> Float[np.ndarray, "6"]:
-        """Return the force and the moment about its centre of mass that a state demands [N, N m]."""
-        model = self.prepared.motion.robot.model
-        data, item = borrow_data(model), self.item
-        pin.forwardKinematics(model, data, q, v, a)
-        joint = self.body.joint
-        speed, gain = data.v[joint], data.a[joint]
+    def find_wrenches(
+        self, q: Float[np.ndarray, "S n"], v: Float[np.ndarray, "S n"], a: Float[np.ndarray, "S n"]
+    ) -> tuple[Float[np.ndarray, "S 6"], Float[np.ndarray, "S 6"]]:
+        """Return the forces and moments about the centre of mass that states demand, and at rest [N, N m]."""
+        model, joint = self.prepared.motion.robot.model, self.body.joint
+        data, count = borrow_data(model), len(q)
+        speed, spin, gain, turning, up = np.empty((5, count, 3))
+        for k, state in enumerate(zip(q, v, a, strict=True)):
+            pin.forwardKinematics(model, data, *state)
+            speed[k], spin[k] = data.v[joint].linear, data.v[joint].angular
+            gain[k], turning[k] = data.a[joint].linear, data.a[joint].angular
+            up[k] = data.oMi[joint].rotation[2]
         turn = np.array(self.frame.placement.rotation)
-        moments = turn @ item.inertia.moments @ turn.T
-        linear = gain.linear + np.cross(speed.angular, speed.linear)
-        linear = linear + np.cross(gain.angular, self.centre)
-        linear = linear + np.cross(speed.angular, np.cross(speed.angular, self.centre))
-        up = np.array(data.oMi[joint].rotation)[2]
-        force = item.inertia.mass * (linear + GRAVITY * up)
-        moment = moments @ gain.angular + np.cross(speed.angular, moments @ speed.angular)
-        return np.concatenate([force, moment])
+        moments, centre = turn @ self.item.inertia.moments @ turn.T, self.centre[None]
+        linear = gain + cross(spin, speed) + cross(turning, centre) + cross(spin, cross(spin, centre))
+        weight = GRAVITY * self.item.inertia.mass * up
+        moment = turning @ moments.T + cross(spin, spin @ moments.T)
+        moving = np.concatenate([self.item.inertia.mass * linear + weight, moment], axis=1)
+        return moving, np.concatenate([weight, np.zeros((count, 3))], axis=1)
 
 
 class GripBalance:

@@ -19,6 +19,7 @@ from service.verify.frame_paths import FramePath
 from service.verify.motion import (
     AxisTarget,
     CircleTarget,
+    HoleTarget,
     JointTarget,
     JointWayTarget,
     Phase,
@@ -32,6 +33,7 @@ from service.verify.prepared_motion import PreparedMotion
 from service.verify.regions.checks import check_region
 from service.verify.regions.region import RegionTarget
 from service.verify.rounding import round_up
+from service.verify.targets.holes import check_hole
 from service.verify.targets.pose_errors import (
     AXIS_NAMES,
     PositionDemand,
@@ -55,6 +57,8 @@ def check_targets(prepared: PreparedMotion, phase: Phase, settings: VerifySettin
             yield from _relative_pose_checks(proof, target)
         elif isinstance(target, RegionTarget):
             yield from check_region(proof, target)
+        elif isinstance(target, HoleTarget):
+            yield from check_hole(proof, target)
         elif isinstance(target, WayTarget):
             yield from check_way(proof, target)
         elif isinstance(target, JointWayTarget):

@@ -416,7 +416,7 @@ class RobotTorque(_message.Message):
     def __init__(self, check: bool = ..., unchecked: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RobotServo(_message.Message):
-    __slots__ = ("stiffness", "hand_stiffness_n_m", "reaction_s", "force_noise_n")
+    __slots__ = ("stiffness", "hand_stiffness_n_m", "reaction_s", "force_noise_n", "hand_turn_stiffness_n_m_rad")
     class StiffnessEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -428,11 +428,13 @@ class RobotServo(_message.Message):
     HAND_STIFFNESS_N_M_FIELD_NUMBER: _ClassVar[int]
     REACTION_S_FIELD_NUMBER: _ClassVar[int]
     FORCE_NOISE_N_FIELD_NUMBER: _ClassVar[int]
+    HAND_TURN_STIFFNESS_N_M_RAD_FIELD_NUMBER: _ClassVar[int]
     stiffness: _containers.ScalarMap[str, float]
     hand_stiffness_n_m: float
     reaction_s: float
     force_noise_n: float
-    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ..., hand_stiffness_n_m: _Optional[float] = ..., reaction_s: _Optional[float] = ..., force_noise_n: _Optional[float] = ...) -> None: ...
+    hand_turn_stiffness_n_m_rad: float
+    def __init__(self, stiffness: _Optional[_Mapping[str, float]] = ..., hand_stiffness_n_m: _Optional[float] = ..., reaction_s: _Optional[float] = ..., force_noise_n: _Optional[float] = ..., hand_turn_stiffness_n_m_rad: _Optional[float] = ...) -> None: ...
 
 class RobotHand(_message.Message):
     __slots__ = ("link", "hook", "tool", "peg", "stub", "peg_radius_m", "fingers")
