@@ -37,7 +37,7 @@ def point_axis(name: str, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 
     """Return an orientation with an axis of its own (``x``, ``-z``) along a direction."""
     own = find_axis(name)
     assert own is not None
-    return _point_along(axis) @ _point_along(own).T
+    return np.asarray(_point_along(axis) @ _point_along(own).T)
 
 
 def _point_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

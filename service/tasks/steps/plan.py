@@ -191,8 +191,8 @@ class _Walk:
         plain = self._place(self._plain, holding, state.at[:n])
         own = self._place(self._solver, holding, state.at)
         parts, busy, held = self._demand.parts, holding.busy, list_kept_joints(holding)
-        keeping = (_keep_joints(solver, held, state.at) for solver in (plain, own))
-        phases, tried = plan_part(*keeping, parts, named, state.at, state.values, busy)
+        still = tuple(_keep_joints(solver, held, state.at) for solver in (plain, own))
+        phases, tried = plan_part(still[0], still[1], parts, named, state.at, state.values, busy)
         if holding.items or holding.stands is not None:
             phases = [replace(phase, phase=carry_along(phase.phase, holding), body=own.body) for phase in phases]
         order = tuple(phase.name for phase in phases)
