@@ -187,16 +187,17 @@ def test_a_sole_is_filled_whatever_the_order_of_its_corners(browser, pages):
         assert np.abs(colour_at(browser, place, width=1) - ground).max() > 20, place
 
 
-def test_labels_do_not_cover_each_other(browser, tmp_path):
+def test_labels_do_not_cover_each_other_and_three_failed_checks_have_one(browser, tmp_path):
     result, placements = make_result(verdict="NOT_FOUND")
-    result["checks"] = [{**result["checks"][1], "name": f"clearance {i}"} for i in range(4)]
+    failed = result["checks"][1]
+    result["checks"] = [{**failed, "name": f"clearance {i}", "value": (1 + i) * failed["value"]} for i in range(5)]
     write_viewer(result, placements, tmp_path / "crowd.html")
     browser.open((tmp_path / "crowd.html").as_uri(), is_drawn=False)
     browser.settle()
     boxes = browser.run(
         "[...document.querySelectorAll('.label.bad:not([hidden]) span')].map((e) => e.getBoundingClientRect().toJSON())"
     )
-    assert len(boxes) == 4
+    assert len(boxes) == 3
     for i, a in enumerate(boxes):
         for b in boxes[:i]:
             apart = (

@@ -1,11 +1,13 @@
-// The checks at the places they speak of: failed ones always, any other while it is selected.
+// The checks at the places they speak of: the worst failed ones always, any other while it is selected.
 import { Group, Mesh, MeshStandardMaterial, Vector3 } from "three";
 import { Check } from "./data";
 import { figure, title } from "./dom";
 import { Label, Labels } from "./labels";
 import { Layer } from "./layer";
-import { standingOf } from "./standing";
+import { listWorst, standingOf } from "./standing";
 import { Colours } from "./theme";
+
+const MOST_FAILED = 3; // labels of failed checks at once; the list of checks has the others
 
 export class Marks implements Layer {
   readonly name = "checks";
@@ -17,11 +19,13 @@ export class Marks implements Layer {
   private readonly glow = new MeshStandardMaterial({ flatShading: true, emissiveIntensity: 0.35, roughness: 0.6 });
   private lit: { mesh: Mesh; material: Mesh["material"] }[] = [];
   private selected = -1;
+  private readonly worst: ReadonlySet<Check>;
 
   constructor(
     private readonly checks: Check[], private readonly start: number, placeOf: (name: string, t: number) => Vector3 | undefined,
     labels: Labels, private readonly solids: () => { name: string; mesh: Mesh }[],
   ) {
+    this.worst = new Set(listWorst(checks, MOST_FAILED));
     this.places = checks.map((check) => {
       const where = check.where;
       if (where?.position && where.position.length === 3) return new Vector3().fromArray(where.position);
@@ -67,7 +71,7 @@ export class Marks implements Layer {
   refresh(): void {
     this.own.forEach((label, i) => {
       if (!label) return;
-      label.isOn = this.group.visible && (!this.checks[i].ok || i === this.selected);
+      label.isOn = this.group.visible && (this.worst.has(this.checks[i]) || i === this.selected);
       label.isDim = this.selected >= 0 && i !== this.selected;
     });
   }

@@ -23,6 +23,14 @@ export function tightest(checks: Check[]): Check | undefined {
   return checks.reduce<Check | undefined>((best, check) => (best && spare(best) <= spare(check) ? best : check), undefined);
 }
 
+// The failed checks that miss most of their limit, worst first; figures of different units are compared as shares.
+export function listWorst(checks: Check[], most: number): Check[] {
+  const miss = ({ value, limit }: Check): number => (typeof value === "number" ? Math.abs(value - (limit ?? 0)) : Infinity);
+  const share = (check: Check): number =>
+    typeof check.value !== "number" ? Infinity : miss(check) / Math.max(Math.abs(check.value), Math.abs(check.limit ?? 0), 1e-9);
+  return checks.filter((check) => !check.ok).sort((a, b) => share(b) - share(a) || miss(b) - miss(a)).slice(0, most);
+}
+
 export const family = (result: Result, name: string): Check[] =>
   result.checks.filter((check) => check.name === name || check.name.startsWith(`${name}.`));
 

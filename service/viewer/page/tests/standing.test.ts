@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Check, Result } from "../src/data";
 import { insideBy, shrunk } from "../src/geometry";
-import { basisTold, clearanceTold, insideTold, standingOf, tightest, weakest } from "../src/standing";
+import { basisTold, clearanceTold, insideTold, listWorst, standingOf, tightest, weakest } from "../src/standing";
 
 const check = (name: string, more: Partial<Check> = {}): Check =>
   ({ name, ok: true, value: 0.05, limit: 0.02, unit: "m", text: "5 cm", ...more });
@@ -28,6 +28,15 @@ test("the tightest check has least to spare above its limit, and a missing value
   const missing = check("c", { value: null });
   assert.equal(tightest([tight, missing]), missing);
   assert.equal(tightest([]), undefined);
+});
+
+test("the worst failed checks miss most of their limits, and of those without a limit the deepest is first", () => {
+  const failed = (name: string, value: number | null, limit: number): Check => check(name, { ok: false, value, limit });
+  const checks = [
+    failed("torque", 1.1, 1.0), failed("shallow", -0.001, 0), check("held"), failed("deep", -0.2, 0), failed("nowhere", null, 0),
+  ];
+  assert.deepEqual(listWorst(checks, 3).map((own) => own.name), ["nowhere", "deep", "shallow"]);
+  assert.equal(listWorst([check("held")], 3).length, 0);
 });
 
 test("a clearance is proven only if every check of it is", () => {
