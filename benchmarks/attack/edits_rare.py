@@ -177,7 +177,7 @@ def joints_that_move_the_other_way_at_first(folder: Folder) -> None:
     folder.request["start"]["rates"] = {"shoulder": -0.4}
 
 
-@RARE_EDITS.lie("arm", "region", level=HASHED)
+@RARE_EDITS.lie("region", level=HASHED)
 def a_start_that_moves_already(folder: Folder) -> None:
     folder.request["start"]["rates"] = {"shoulder": 0.05}
 
