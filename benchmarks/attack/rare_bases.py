@@ -92,7 +92,8 @@ def make_region(folder: Path) -> dict[str, Any]:
     region = {"x_min_m": 0.2, "x_max_m": 0.5, "y_min_m": 0.3, "y_max_m": 0.7, "z_min_m": 0.4, "z_max_m": 0.9}
     request = arm_request(write_arm(folder), goal={"poses": [{"link": "hand", "region": region}]})
     request["scene"]["obstacles"] = []
-    request["keep"] = [{"link": "hand", "region": {"z_max_m": 1.0}, "position": [0.0, 0.0, 0.0]}]
+    level = {"position": [0.0, 0.0, 0.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0], "rotation_tolerance_deg": 180.0}
+    request["keep"] = [{"link": "hand", "region": {"z_max_m": 1.0}, **level}]
     return request
 
 
