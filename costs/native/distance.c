@@ -9,7 +9,7 @@
 #include <string.h>
 
 static const double AGREES_M = 1e-10;  /* the bounds of a distance that is found */
-static const double ENOUGH_M = 1e-9;   /* the same where rounding ends the search */
+static const double ENOUGH_M = 1e-7;   /* the same where rounding ends the search, on hulls that are nearly flat */
 static const double TOUCHES_M = 1e-6;  /* below it, directions are of no use */
 enum { ROUNDS = 64 };
 

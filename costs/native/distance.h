@@ -18,7 +18,7 @@ typedef enum { TOUCHING, APART, BEYOND } Answer;
 
 /* Signed distance of two hulls that are apart: distance [m], the unit normal from a to b, and a's nearest point.
 
-   APART: the distance is right within a nanometre; if is_rough, any that is shown to be below limit.
+   APART: the distance is right within 0.1 micrometres; if is_rough, any that is shown to be below limit.
    BEYOND: it is larger than limit, and nothing else is known.
    TOUCHING (distance 0): the hulls meet, are nearer than a micrometre, or rounding keeps the search from ending. */
 Answer measure_hulls(const Hull *a, const Hull *b, double limit, int is_rough, double *distance, double normal[3],
