@@ -56,6 +56,7 @@ RANDOM_ACT = """((pick) => {
     for (const type of ['keydown', 'keyup']) window.dispatchEvent(new KeyboardEvent(type, { key, bubbles: true }));
     return key;
   }
+  if (!what) return '';
   if (what.tagName === 'SELECT') {
     what.selectedIndex = Math.floor(pick[1] * what.options.length);
     what.dispatchEvent(new Event('change'));
@@ -242,6 +243,7 @@ def act_at_random(browser: Browser, url: str, seed: int) -> int:
     for _ in range(ACTIONS):
         browser.run(f"{RANDOM_ACT}({json.dumps([rng.random(), rng.random()])})")
         time.sleep(0.15)
+    wait(browser, "[...document.querySelectorAll('button')].some((e) => !e.disabled && e.offsetParent !== null)")
     assert browser.complaints() == [], browser.complaints()
     return ACTIONS
 
