@@ -120,6 +120,8 @@ bench-clouds: $(READY)
 	$(BIN)/python -m benchmarks.clouds.confidence fit benchmarks/clouds/confidence.csv --dry
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.clicks $(BENCH_ARGS)
 	$(BIN)/python -m benchmarks.clouds.hand_set
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.rims
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.disturbed
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.clouds.reliability --seeds 7 --every 9 --picture out/reliability.svg
 
 # BENCH_ARGS="--count 4" takes a quick look, BENCH_ARGS=--long adds random stances.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,12 +18,14 @@ from perception.detect.shared.bar_starts import Run, misfits, sample_about, star
 from perception.detect.shared.bars import Bar, SurroundingRays
 from perception.detect.shared.detection import Detection
 from perception.detect.shared.faces import Face, FaceRays, FacesInSight, face_rays
+from perception.sightlines import SightIndex
 from perception.view import View
 
 _STAND_OFF = (0.028, 0.13)
 _LENGTHS = (0.06, 0.45)
 _CELL = 0.015
 _BEYOND = 0.12
+_ALL_RAYS = 100_000  # about a bar
 _SLIM = 0.5
 _RADII = ((0.008, 0.008), (0.013, 0.013), (0.02, 0.02))
 _TUBE = 0.04
@@ -61,7 +63,7 @@ def detect_lever(view: View, hint: Float[np.ndarray, "3"] | None, seen: FacesInS
         for face in seen.faces:
             rays = face_rays(face, seen.index, _BEYOND)
             for run in _runs(face, rays, hint):
-                lever = _examine(face, rays, run)
+                lever = _examine(face, rays, run, seen.index)
                 if lever is not None:
                     levers.append(lever)
     levers.sort(key=lambda lever: -lever.confidence * lever.pivot.confidence)
@@ -111,8 +113,13 @@ def _connect(flat: Float[np.ndarray, "N 2"]) -> list[Int[np.ndarray, "K"]]:
     return sorted((patch for patch in patches if len(patch) >= _FEWEST), key=lambda patch: -len(patch))[:6]
 
 
-def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
-    """Return the round bar fitted about a run, with its ends, pivot and confidence; None if rejected."""
+def _examine(face: Face, seen: FaceRays, run: Run, index: SightIndex) -> _Found | None:
+    """Return the round bar fitted about a run, with its ends, pivot and confidence; None if rejected.
+
+    Args:
+        seen: rays to the face, thinned.
+        index: of all rays: which end is held shows in few of them, so that a thinned sample would decide by chance.
+    """
     rays = SurroundingRays(
         seen.rays.start, seen.rays.direction, seen.rays.length, np.abs(seen.ends[:, 2]) < 2.0 * face.sigma
     )
@@ -127,7 +134,8 @@ def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
     if not _LENGTHS[0] < bar.length < _LENGTHS[1]:
         return None
     evidence = weigh_bar(rays, bar)
-    pivot = find_pivot(face, seen, bar)
+    about = _rays_about(face, bar, index)
+    pivot = find_pivot(face, about, bar)
     length = abs(pivot.far - pivot.along)
     level = abs(float(bar.axis @ face.frame[2]))
     confidence = (
@@ -141,10 +149,16 @@ def _examine(face: Face, seen: FaceRays, run: Run) -> _Found | None:
         * rising(-bar.half[0], -0.03, -0.024)
         * rising(pivot.stand_off - bar.half[0], 0.008, 0.02)
         * (1.0 if all(ends.seen) else _GOES_ON)
-        * free_end(face, seen, bar, pivot)
-        * face_behind(face, seen, bar.centre + pivot.along * bar.axis)
+        * free_end(face, about, bar, pivot)
+        * face_behind(face, about, bar.centre + pivot.along * bar.axis)
     )
     return _Found(face, ends, evidence, pivot, float(confidence))
+
+
+def _rays_about(face: Face, bar: Bar, index: SightIndex) -> FaceRays:
+    """Return all rays to a face about a bar."""
+    ends = face.local(bar.centre + np.array([[bar.first], [bar.last]]) * bar.axis)[:, :2]
+    return face_rays(replace(face, low=ends.min(axis=0), high=ends.max(axis=0)), index, _BEYOND, _ALL_RAYS)
 
 
 def _fit(rays: SurroundingRays, run: Run) -> Bar | None:

@@ -187,14 +187,18 @@ def _frame(normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.stack([x, np.cross(normal, x), normal])
 
 
-def face_rays(face: Face, index: SightIndex, beyond: float) -> FaceRays:
-    """Return rays that cross the plane within ``beyond`` [m] of the region and end at most 25 cm before it."""
+def face_rays(face: Face, index: SightIndex, beyond: float, most: int = _MOST_RAYS) -> FaceRays:
+    """Return rays that cross the plane within ``beyond`` [m] of the region and end at most 25 cm before it.
+
+    Args:
+        most: if there are more about the region, every k-th of them is taken.
+    """
     low, high = face.low - beyond, face.high + beyond
     steps = [np.linspace(low[i], high[i], max(2, int((high[i] - low[i]) / _SPACING) + 1)) for i in range(2)]
     x, y = (grid.ravel() for grid in np.meshgrid(*steps))
     spacing = max(float(step[1] - step[0]) for step in steps)
     places = face.world(np.column_stack([x, y, np.zeros(len(x))]))
-    rays = index.passing(places, 0.75 * spacing + 0.02).thin(_MOST_RAYS)
+    rays = index.passing(places, 0.75 * spacing + 0.02).thin(most)
     slope = rays.direction @ face.frame[2]
     rays = rays.select(slope < -_LEAST_SLOPE)
     height = (rays.start - face.centre) @ face.frame[2]

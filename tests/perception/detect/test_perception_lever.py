@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from perception import CONFIDENT, View, detect, make_view
+from perception import CONFIDENT, Cloud, View, detect, make_view, read_cloud
 from perception.detect.shared.bar_pivot import face_behind
 from perception.detect.shared.faces import Face, FaceRays
 from perception.sightlines import Sightlines
@@ -82,6 +84,17 @@ def test_the_rim_of_a_level_wheel_is_no_lever(seed: int, variant: str) -> None:
 def test_a_length_of_a_large_wheel_s_rim_is_no_lever() -> None:
     view = make_view(make_scene("valve_large", 2).scan("camera"))
     assert all(one.confidence < CONFIDENT for one in detect("lever", view))
+
+
+def test_a_recorded_lever_is_found_in_any_order_of_the_points(shared_data: Path) -> None:
+    path = shared_data / "real" / "door_iphone_4.ply"
+    if not path.exists():
+        pytest.skip(f"no recorded cloud {path}")
+    cloud = read_cloud(path)
+    order = np.random.default_rng(0).permutation(len(cloud.points))
+    found = detect("lever", make_view(Cloud(cloud.points[order], cloud.origin)))[0]
+    assert found.confidence >= CONFIDENT
+    assert np.linalg.norm(found.pose_world_object[:3, 3] - [0.545, 0.06, 1.045]) < 0.02
 
 
 def test_a_face_goes_on_behind_a_place_within_its_region_where_rays_end_on_it() -> None:
