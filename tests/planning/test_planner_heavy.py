@@ -84,7 +84,8 @@ def test_a_hatch_is_lifted_with_its_weight(hatch: tuple[PlanResult, Path]) -> No
     motion = hatch[0].motion
     assert motion is not None
     (load,) = next(phase for phase in motion.phases if phase.name == "move slide").loads
-    np.testing.assert_allclose(load.force, [0.0, 0.0, 3.0 * (9.81 + 1.0)], atol=1e-9)
+    gain = 0.01 * 0.05 / 0.03**2  # at which servos lag behind by a hundredth of the 5 cm as the motion ends
+    np.testing.assert_allclose(load.force, [0.0, 0.0, 3.0 * (9.81 + gain)], atol=1e-9)
     assert verify_result(hatch[1])["verdict"] == "CERTIFIED"
 
 

@@ -7,7 +7,7 @@ most that of the chord plus ``h/2 max|p''| = 4 d / h``; its speed is at most thi
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -88,7 +88,7 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
             for tool in list_tools(motion.robot)
         ]
     if motion.pace is not None:
-        parts = list(zip(split_motion(motion), phases, strict=True))
+        parts = list(zip(split_motion(replace(motion, phases=tuple(phases))), phases, strict=True))
         speeds += [
             FrameSpeed(
                 f"pressing.{phase.name}.{limit.tool}",
