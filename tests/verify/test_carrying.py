@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from costs.primitive import Primitive
@@ -30,7 +31,7 @@ from service.verify import (
     split_motion,
     verify,
 )
-from service.verify.carrying.grasp import GripBalance, Pad
+from service.verify.carrying.grasp import ARM_M, GripBalance, Pad
 from service.verify.carrying.resting import measure_rest_margin
 from service.verify.carrying.stacks import RestingObject
 
@@ -81,6 +82,26 @@ def test_a_weight_beside_the_pads_needs_torsion_and_more_force() -> None:
 def test_nothing_holds_without_friction() -> None:
     slippery = tuple(replace(pad, grip=replace(GRIP, friction=0.0)) for pad in PADS)
     assert GripBalance(slippery, np.zeros(3)).find_share(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])) == np.inf
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_shares_are_those_of_another_solver_whatever_was_asked_before(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pads = tuple(replace(pad, points=pad.points + 1e-3 * rng.normal(size=pad.points.shape)) for pad in PADS)
+    balance = GripBalance(pads, np.zeros(3))
+    edges, presses = balance._edges, balance._presses
+    caps = np.hstack([presses, -np.ones((len(presses), 1))])
+    for wrench in rng.normal(size=(4, 6)) * [20.0, 20.0, 20.0, 0.3, 0.3, 0.3]:
+        found = linprog(
+            np.append(np.zeros(edges.shape[1]), 1.0),
+            A_ub=caps,
+            b_ub=np.zeros(len(caps)),
+            A_eq=np.hstack([edges, np.zeros((6, 1))]),
+            b_eq=np.concatenate([wrench[:3], wrench[3:] / ARM_M]),
+        )
+        wanted = found.x[-1] if found.status == 0 else np.inf
+        assert balance.find_share(wrench) == pytest.approx(wanted, rel=1e-6, abs=1e-9)
 
 
 forces = st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3).map(np.array)

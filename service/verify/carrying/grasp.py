@@ -9,7 +9,9 @@ proportion to it, so that its value between two poses is at most that at one of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import highspy
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
@@ -17,6 +19,7 @@ from jaxtyping import Float
 from costs.robot import LinkBody
 from costs.robot.carried import MovableObject
 from costs.rotation import cross
+from costs.static_region import run_program
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
@@ -30,6 +33,7 @@ from service.verify.prepared_motion import PreparedMotion
 GRAVITY = 9.81
 SIDES = 8  # of the pyramids inside friction cones
 ARM_M = 0.05  # a moment of 1 N m counts like a force of 1 / 0.05 N in the program
+BALANCE_N = 1e-6  # by which forces may miss a wrench, relative to it
 LOAD_OFF_M = 4e-3  # farthest from an object's origin that what it presses against acts, across the force
 
 
@@ -164,7 +168,10 @@ class Held:
 
 
 class GripBalance:
-    """Forces inside the cones of pads that hold a wrench, and the least share of the grips that they need."""
+    """Forces inside the cones of pads that hold a wrench, and the least share of the grips that they need.
+
+    One linear program, solved for one wrench after the other from the last basis.
+    """
 
     def __init__(self, pads: tuple[Pad, ...], centre: Float[np.ndarray, "3"]) -> None:
         """Prepare for wrenches about ``centre``, in the frame of the pads."""
@@ -185,23 +192,52 @@ class GripBalance:
 
     def find_share(self, wrench: Float[np.ndarray, "6"]) -> float:
         """Return the least share of every finger's force that holds a wrench; infinite where none does."""
-        from scipy.optimize import linprog  # slow to import, and rarely needed
-
-        count = self._edges.shape[1]
-        if count == 0:
+        if not self._edges.size:
             return float("inf")
         wanted = np.concatenate([wrench[:3], wrench[3:] / ARM_M])
-        caps = np.hstack([self._presses, -np.ones((len(self._presses), 1))])
-        found = linprog(
-            np.append(np.zeros(count), 1.0),
-            A_ub=caps,
-            b_ub=np.zeros(len(caps)),
-            A_eq=np.hstack([self._edges, np.zeros((6, 1))]),
-            b_eq=wanted,
-            bounds=(0.0, None),
-            method="highs",
-        )
-        return float(found.x[-1]) if found.status == 0 and found.x is not None else float("inf")
+        solver = self._solver
+        for row, value in enumerate(wanted.tolist()):
+            solver.changeRowBounds(row, value, value)
+        for _ in range(2):
+            status = run_program(solver)
+            if status == highspy.HighsModelStatus.kOptimal:
+                forces = np.maximum(np.array(solver.getSolution().col_value)[:-1], 0.0)
+                if np.abs(self._edges @ forces - wanted).max() <= BALANCE_N * max(1.0, float(np.abs(wanted).max())):
+                    return float((self._presses @ forces).max())
+            if status == highspy.HighsModelStatus.kInfeasible:
+                break
+            solver.clearSolver()  # a start from the last basis may be at fault
+        return float("inf")
+
+    @cached_property
+    def _solver(self) -> highspy.Highs:
+        count, n_pads = self._edges.shape[1], len(self._presses)
+        rows = np.zeros((6 + n_pads, count + 1))  # the forces balance the wrench; no pad presses by more than the share
+        rows[:6, :-1], rows[6:, :-1], rows[6:, -1] = self._edges, self._presses, -1.0
+        program = highspy.HighsLp()
+        program.num_col_, program.num_row_ = count + 1, len(rows)
+        program.col_cost_ = np.append(np.zeros(count), 1.0)
+        program.col_lower_, program.col_upper_ = np.zeros(count + 1), np.full(count + 1, highspy.kHighsInf)
+        program.row_lower_ = np.append(np.zeros(6), np.full(n_pads, -highspy.kHighsInf))
+        program.row_upper_ = np.zeros(len(rows))
+        matrix = program.a_matrix_
+        matrix.format_ = highspy.MatrixFormat.kColwise
+        matrix.start_ = len(rows) * np.arange(count + 2, dtype=np.int32)
+        matrix.index_ = np.tile(np.arange(len(rows), dtype=np.int32), count + 1)
+        matrix.value_ = rows.T.ravel()
+        solver = highspy.Highs()
+        for name, value in (
+            ("output_flag", False),
+            ("threads", 1),
+            ("presolve", "off"),
+            ("solver", "simplex"),
+            ("simplex_strategy", 1),  # dual: the last prices stay feasible while only the wrench changes
+            ("primal_feasibility_tolerance", 1e-9),
+            ("dual_feasibility_tolerance", 1e-9),
+        ):
+            solver.setOptionValue(name, value)
+        solver.passModel(program)
+        return solver
 
     def find_force_shares(self, force_n: float) -> Float[np.ndarray, "3"]:
         """Return the largest share that a force of a size needs along each axis, in either sense."""
