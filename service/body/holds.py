@@ -124,9 +124,11 @@ def find_led(robot: RobotModel) -> Bool[np.ndarray, "n"]:
     return led
 
 
-def least_norm_step(jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "S n"]:
-    """Return the shortest step that changes the residual by its value."""
-    return np.asarray(np.einsum("snk,sk->sn", np.linalg.pinv(jacobian, rcond=1e-6), value))
+def least_norm_step(
+    jacobian: Float[np.ndarray, "S k n"], value: Float[np.ndarray, "S k"], alike: float = 1e-6
+) -> Float[np.ndarray, "S n"]:
+    """Return the shortest step that changes the residual by its value; rows less than ``alike`` apart are one."""
+    return np.asarray(np.einsum("snk,sk->sn", np.linalg.pinv(jacobian, rcond=alike), value))
 
 
 def largest_hold_error(

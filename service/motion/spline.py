@@ -26,6 +26,7 @@ from service.body.task_plan import KeptCurve
 
 SMALLEST_STEP = 1e-3  # of the path parameter, so that a waypoint that repeats does not stop the curve
 SMALLEST_RATE = 1e-12  # tangents this close to their limits keep them
+ALIKE = 1e-3  # of the directions that two ways leave open where one goes over into the other, which rounding tilts
 LIMIT_ROUNDS = 3  # of the search for joints at their limits
 DRIFT_AT = np.array([0.2, 0.5, 0.8])  # of an interval: where drift is measured; a knot is added in its middle
 MAX_INSERTIONS = 6  # rounds; each halves the intervals that drift
@@ -170,6 +171,7 @@ def _compute_tangents(
     ends: Float[np.ndarray, "2 n"],
     *,
     is_smooth: bool,
+    alike: float = 1e-6,
 ) -> Float[np.ndarray, "T n"]:
     """Return dq/ds at the waypoints, within limits and along the holds; at both ends as they are given.
 
@@ -188,7 +190,7 @@ def _compute_tangents(
     tangents = np.clip(tangents, least, most)
     if engine.robot.rolls:
         tangents = stop_between(q, tangents)
-    tangents[1:-1] = _project_tangents(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1])
+    tangents[1:-1] = _project_tangents(engine, q[1:-1], tangents[1:-1], holds, least[1:-1], most[1:-1], alike)
     return np.asarray(tangents)
 
 
@@ -212,7 +214,8 @@ def _find_border_tangent(
     around = np.stack([q[-2], q[-1], project_onto_holds(engine, after.q[1:2], after.holds, find_led(engine.robot))[0]])
     s = _parametrise(around, speed)
     both = (*holds, *after.holds)
-    tangents = _compute_tangents(engine, around, s, both, lower, upper, np.zeros((2, q.shape[1])), is_smooth=False)
+    rest = np.zeros((2, q.shape[1]))
+    tangents = _compute_tangents(engine, around, s, both, lower, upper, rest, is_smooth=False, alike=ALIKE)
     return np.asarray(tangents[1])
 
 
@@ -255,6 +258,7 @@ def _project_tangents(
     holds: Sequence[Hold],
     least: Float[np.ndarray, "S n"],
     most: Float[np.ndarray, "S n"],
+    alike: float,
 ) -> Float[np.ndarray, "S n"]:
     """Return velocities near the given ones along the holds and within the limits.
 
@@ -268,14 +272,14 @@ def _project_tangents(
     at_limit = np.tile(led, (len(v), 1))
     for _ in range(LIMIT_ROUNDS):
         free = np.where(at_limit[:, None, :], 0.0, jacobian)
-        v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
+        v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v), alike)
         beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
         if not beyond.any():
             return v
         at_limit |= beyond
         v = np.clip(v, least, most)
     free = np.where(led, 0.0, jacobian)
-    v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v))
+    v = v - least_norm_step(free, np.einsum("skn,sn->sk", jacobian, v), alike)
     beyond = (v > most + SMALLEST_RATE) | (v < least - SMALLEST_RATE)
     share = np.where(beyond, np.where(v > 0.0, most, least) / np.where(beyond, v, 1.0), 1.0)
     return np.asarray(v * share.min(axis=1, keepdims=True))

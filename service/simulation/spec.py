@@ -123,13 +123,9 @@ class SpecBuilder:
         several = getattr(self.mujoco.mjtEnableBit, "mjENBL_MULTICCD", None)
         if several is not None:
             self.spec.option.enableflags |= int(several)
-        first = split_motion(self.motion)[0]
-        carried = {carrier.item for carrier in first.phases[0].carriers if carrier.link is not None}
-        resting = [place_resting(first.robot, item) for item in self.motion.objects if item.name not in carried]
-        rests = measure_rests(resting, self.motion.scene.pieces)
         places = dict(self.perturbation.places)
         for item in sorted(self.motion.objects, key=lambda own: float(own.start[2, 3])):  # what carries others first
-            names = rests[item.name].names if item.name in rests else ()
+            names = self.supports.get(item.name, ())
             moved = np.mean([places[name] for name in names if name in places] or [np.zeros(3)], axis=0)
             places[item.name] = moved
             body = self.spec.worldbody.add_body(
@@ -139,6 +135,16 @@ class SpecBuilder:
             _set_inertia(body, item.inertia.mass, item.inertia.centre, item.inertia.moments)
             body.add_freejoint(name=f"object:{item.name}")
             self._add_shape(body, item)
+
+    @cached_property
+    def supports(self) -> dict[str, tuple[str, ...]]:
+        """On what each object rests at the start that no hand holds then: pieces and other objects."""
+        if not self.motion.objects:
+            return {}
+        first = split_motion(self.motion)[0]
+        carried = {carrier.item for carrier in first.phases[0].carriers if carrier.link is not None}
+        resting = [place_resting(first.robot, item) for item in self.motion.objects if item.name not in carried]
+        return {name: rest.names for name, rest in measure_rests(resting, self.motion.scene.pieces).items()}
 
     def _add_shape(self, body: Any, item: MovableObject) -> None:
         """Add the shape of an object: a round one as it is, others as hulls."""
@@ -209,7 +215,10 @@ class SpecBuilder:
 
     @cached_property
     def cut_pairs(self) -> frozenset[tuple[str, str]]:
-        """Links and the pieces into which the plan lets them deeper than what touches: they pass through these."""
+        """Links and the pieces into which the plan lets them deeper than what touches: they pass through these.
+
+        What an object rests on at first holds it up: it does not pass through that.
+        """
         phases = [phase for phase in self.motion.phases if phase.name not in UNSETTLED]
         planted = {contact.link for phase in phases for contact in phase.contacts}
         pairs = set()
@@ -217,7 +226,7 @@ class SpecBuilder:
             links = {ref.link for ref in (own.first, own.second) if ref.link is not None} - planted
             pieces = {ref.body for ref in (own.first, own.second) if ref.owner == "scene" and ref.body is not None}
             pairs |= set(product(links, pieces))
-        return frozenset(pairs)
+        return frozenset((link, piece) for link, piece in pairs if piece not in self.supports.get(link, ()))
 
     def exclude_pairs(self) -> None:
         """Exclude the pairs of links that the robot's description leaves out, and what the plan cuts."""

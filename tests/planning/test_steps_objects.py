@@ -11,7 +11,7 @@ import pytest
 from shared_plans import write_undrawn
 from stranger import load_checker
 
-from benchmarks.attack.gantry_files import write_gantry
+from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from benchmarks.attack.step_requests import DEPTH, FROM, INTO, TOP, peg_request
 from service.demands.regions import SMALLEST_TURN
 from service.demands.steps.compile import LEVEL_DEG
@@ -231,3 +231,22 @@ def test_a_stack_is_taken_apart_from_above_and_built_again(urdf: Path) -> None:
     under = plan(parse_request(_stack_request(urdf, "lower", "upper")))
     assert under.verdict.value == "INFEASIBLE"
     assert any("lower is under upper; that has to be taken away first" in line for line in under.explanation)
+
+
+def test_a_held_block_wipes_a_table_round_a_corner_without_a_rest(urdf: Path, tmp_path: Path) -> None:
+    request = pick_place_request(urdf)
+    face = {"point": [0, 0, TOP], "normal": [0, 0, 1], "pieces": ["table"]}
+    corners = [[0.1, -0.2, TOP], [0.1, 0.2, TOP], [-0.1, 0.2, TOP]]
+    wipe = {"frame": "block", "tool_axis": "-z", "face": face, "polyline": corners, "depth_m": -0.04, "thrust_n": 8.0,
+            "blend_m": 0.03}  # fmt: skip
+    up = {"frame": "block", "by": {"translation": [0, 0, 0.1]}, "along": "line"}
+    request["task"] = {"steps": [{"grasp": {"object": "block"}}, {"move": up}, {"name": "wipe", "follow": wipe}]}
+    result = plan(parse_request(request))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    motion = result.motion
+    assert motion is not None
+    for phase in motion.phases:
+        if phase.name in ("wipe: corner 1", "wipe: path 2"):  # rounding tilts the ways that meet there
+            knot = int(np.abs(motion.curve.knots - phase.first).argmin())
+            assert np.abs(motion.curve.tangents[knot, :2]).max() > 0.5
+    assert verify_result(write_undrawn(result, tmp_path / "out"))["verdict"] == "CERTIFIED"
