@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +31,7 @@ def read_valves(data: dict[str, Any]) -> tuple[ValveDetection | LeverDetection, 
         kind = LeverDetection if "direction" in hit else ValveDetection
         values = {field.name: hit[field.name] for field in fields(kind)}
         values = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        _check_numbers(kind, values)
         vectors = {name: _read_vector(values[name]) for name in VECTORS if name in values}
         valves.append(kind(**{**values, **vectors}))
     return tuple(valves)
@@ -42,8 +45,10 @@ def read_doors(data: dict[str, Any]) -> tuple[SeenDoor, ...]:
             geometry, handle = dict(hit["geometry"]), hit["geometry"]["handle"]
             if handle is not None:
                 vectors = {name: _read_vector(handle[name]) for name in ("centre", "direction")}
+                _check_numbers(HandleGeometry, handle)
                 handle = HandleGeometry(**{**handle, **vectors})
             vectors = {name: _read_vector(geometry[name]) for name in ("hinge", "along", "normal")}
+            _check_numbers(DoorGeometry, geometry)
             door = DoorGeometry(**{**geometry, **vectors, "handle": handle})
             doors.append(SeenDoor(door, float(hit["confidence"]), bool(hit.get("knows_hinge", True))))
     return tuple(doors)
@@ -55,6 +60,16 @@ def _read_vector(value: object) -> np.ndarray:
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(f"detections: expected three numbers, got {shown(value)}")
     return vector
+
+
+def _check_numbers(kind: type[Any], values: Mapping[str, object]) -> None:
+    """Refuse values of fields that hold a number and are none (ValueError)."""
+    for field in fields(kind):
+        value = values.get(field.name)
+        if field.type == "float" and (
+            isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value)
+        ):
+            raise ValueError(f"detections: expected a number for {field.name}, got {shown(value)}")
 
 
 def read_seen_parts(data: dict[str, Any]) -> tuple[SeenPart, ...]:

@@ -298,18 +298,21 @@ class _Walk:
         """
         item = holding.items[step.object]
         here = holding.locate(step.object, at)
-        places, pose, is_known = [(here, "where it is")], here, True
+        places, pose, is_known, has_walked = [(here, "where it is")], here, True, False
         until = self._find_release(index)
         for number, named in enumerate(self._steps[index + 1 : until], start=index + 1):
             own = named.step
-            wanted = [] if own.move is None else [each for each in own.move.poses if each.link == step.object]
+            has_walked = has_walked or own.changes_contacts  # other places are reached from where the feet are then
+            led = () if own.move is None else own.move.poses
+            wanted = [each for each in led if each.link == step.object and each.is_plain]
             if wanted:
                 turned = pose[:3, :3] if wanted[0].quaternion_wxyz is None else None
                 pose = pose_matrix(wanted[0].origin, wanted[0].quaternion_wxyz or (1.0, 0.0, 0.0, 0.0))
                 if turned is not None:
                     pose[:3, :3] = turned
                 is_known = True
-                places.append((pose, f"at {np.round(pose[:3, 3], 3).tolist()} ('{named.name}')"))
+                if not has_walked:
+                    places.append((pose, f"at {np.round(pose[:3, 3], 3).tolist()} ('{named.name}')"))
             elif own.fit is not None and own.fit.object == step.object:
                 reason = _explain_fit(own.fit, item, pose) if is_known else None
                 if reason is not None:
@@ -324,7 +327,7 @@ class _Walk:
             elif own.move is not None or own.screw is not None or own.body is not None:
                 is_known = False
         put = pose if is_known and until < len(self._steps) else None
-        if put is not None and not np.allclose(put, places[-1][0]):
+        if put is not None and not has_walked and not np.allclose(put, places[-1][0]):
             places.append((put, "where it is put"))
         return Pick(item, step, tuple(places)), put
 
