@@ -8,10 +8,10 @@ import pytest
 
 from service.replay.detections import read_doors
 
-HANDLE = {"kind": "lever", "centre": [0.8, 0.3, 1.0], "direction": [0.0, 1.0, 0.0], "length": 0.12, "radius": 0.01,
-          "height": None}  # fmt: skip
-GEOMETRY = {"hinge": [0.8, -0.4, 0.0], "along": [0.0, 1.0, 0.0], "normal": [-1.0, 0.0, 0.0], "face": 0.0, "width": 0.9,
-            "height": 2.0, "thickness": 0.04, "opens": "push", "ajar": 0.0, "handle": HANDLE, "handle_turn": 0.0}  # fmt: skip
+HANDLE = {"kind": "lever", "centre": [0.8, 0.3, 1.0], "direction": [0.0, 1.0, 0.0], "length": 0.12, "radius": 0.01}
+FRAME = {"hinge": [0.8, -0.4, 0.0], "along": [0.0, 1.0, 0.0], "normal": [-1.0, 0.0, 0.0]}
+SIZES = {"face": 0.0, "width": 0.9, "height": 2.0, "thickness": 0.04, "ajar": 0.0, "handle_turn": 0.0}
+GEOMETRY = {**FRAME, **SIZES, "opens": "push", "handle": HANDLE}
 
 
 def _hit(**geometry: Any) -> dict[str, Any]:
