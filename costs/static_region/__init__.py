@@ -7,7 +7,6 @@ needed to check a region (``service.verify.forces.equilibrium``).
 """
 
 from costs.static_region.errors import DegenerateRegionError, NothingHoldsError, StaticRegionError
-from costs.static_region.farthest_places import run_program
 from costs.static_region.region import StaticRegion, find_static_region
 
 __all__ = [
@@ -16,5 +15,4 @@ __all__ = [
     "StaticRegion",
     "StaticRegionError",
     "find_static_region",
-    "run_program",
 ]

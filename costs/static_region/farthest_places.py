@@ -114,11 +114,11 @@ class FarthestPlaces:
         """
         cost = self._price - direction @ self._place
         self._solver.changeColsCost(len(cost), self._columns, cost)
-        status = run_program(self._solver)
+        status = _run(self._solver)
         shares = self._read_shares(status)
         if shares is None:  # a start from the last basis may be at fault
             self._solver.clearSolver()
-            status = run_program(self._solver)
+            status = _run(self._solver)
             shares = self._read_shares(status)
         if shares is None and status == highspy.HighsModelStatus.kInfeasible:
             raise NothingHoldsError(
@@ -195,7 +195,7 @@ def _make_solver(balance: Float[np.ndarray, "4 columns"], caps: Float[np.ndarray
     return solver
 
 
-def run_program(solver: highspy.Highs) -> highspy.HighsModelStatus:
+def _run(solver: highspy.Highs) -> highspy.HighsModelStatus:
     """Solve, and return the status of the model."""
     if solver.run() == highspy.HighsStatus.kError:
         # HiGHS has one pool of threads per process and refuses another number than the pool's; 0 takes it as it is.

@@ -19,7 +19,6 @@ from jaxtyping import Float
 from costs.robot import LinkBody
 from costs.robot.carried import MovableObject
 from costs.rotation import cross
-from costs.static_region import run_program
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
@@ -199,7 +198,10 @@ class GripBalance:
         for row, value in enumerate(wanted.tolist()):
             solver.changeRowBounds(row, value, value)
         for _ in range(2):
-            status = run_program(solver)
+            if solver.run() == highspy.HighsStatus.kError:
+                solver.setOptionValue("threads", 0)  # a process has one pool of threads: take it as it is
+                solver.run()
+            status = solver.getModelStatus()
             if status == highspy.HighsModelStatus.kOptimal:
                 forces = np.maximum(np.array(solver.getSolution().col_value)[:-1], 0.0)
                 if np.abs(self._edges @ forces - wanted).max() <= BALANCE_N * max(1.0, float(np.abs(wanted).max())):
