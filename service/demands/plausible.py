@@ -113,15 +113,12 @@ def _find_embedded(given: GivenMechanism, still: Sequence[ConvexPiece]) -> Itera
     solids, query = [CoalSolid.of_piece(piece) for piece in still], DistanceQuery()
     low = np.array([piece.vertices.min(axis=0) for piece in still]).reshape(-1, 3)
     high = np.array([piece.vertices.max(axis=0) for piece in still]).reshape(-1, 3)
-    here = np.eye(3)[None], np.zeros((1, 3))
     for joint, name, way in _list_ways(given):
         rows = np.arange(len(still))
         for station, (values, vertices) in enumerate(way):
             near = np.all((low[rows] < vertices.max(axis=0)) & (high[rows] > vertices.min(axis=0)), axis=1)
             body = CoalSolid.of_piece(ConvexPiece(name, vertices)).convex
-            depth = {
-                row: -float(query.closest([body], *here, [solids[row].convex])[0][0]) for row in rows[near].tolist()
-            }
+            depth = {row: -query.measure(body, solids[row].convex) for row in rows[near].tolist()}
             inside = [row for row, deep in depth.items() if deep > 0.0]
             yield from (_Embedded(name, joint.name, still[row].name, values, depth[row]) for row in inside)
             if station == 0:

@@ -204,6 +204,10 @@ class DistanceQuery:
         length[~((length > 0.5) & (length < 2.0))] = np.nan
         return distance, direction / length[:, None]
 
+    def measure(self, first: coal.Convex, second: coal.Convex) -> float:
+        """Return the signed distance of two bodies in one frame [m]."""
+        return float(self.closest([first], np.eye(3)[None], np.zeros((1, 3)), [second])[0][0])
+
     def nearest_point(
         self,
         mover: coal.Convex,

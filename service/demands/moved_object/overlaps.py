@@ -19,13 +19,12 @@ def list_overlap_notes(given: GivenMechanism) -> Iterator[str]:
     The certificate lets neighbours overlap as much as they do at the start, so that nobody else would say so.
     """
     depths = []
-    query, turned, moved = DistanceQuery(), np.eye(3)[None], np.zeros((1, 3))
+    query = DistanceQuery()
     for name, points in given.place_named(given.mechanism.start):
         for other, still in given.read.still.items():
             if np.any(points.max(axis=0) < still.min(axis=0)) or np.any(still.max(axis=0) < points.min(axis=0)):
                 continue
-            distances, _ = query.closest([make_coal_convex(points)], turned, moved, [make_coal_convex(still)])
-            depths.append((-float(distances[0]), name, other))
+            depths.append((-query.measure(make_coal_convex(points), make_coal_convex(still)), name, other))
     for depth, name, other in sorted(depths, reverse=True)[:MOST_NOTES]:
         if depth > DEEP:
             yield (

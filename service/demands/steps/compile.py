@@ -271,10 +271,8 @@ def _stand_up(pose: Float[np.ndarray, "4 4"], up: Float[np.ndarray, "3"]) -> Flo
     """Return a pose turned as little as it takes for a direction of its own to point upwards, if it nearly does."""
     upwards, turned = pose[:3, :3] @ up, pose.copy()
     if upwards[2] >= NEARLY_UP:
-        axis = np.cross(upwards, [0.0, 0.0, 1.0])
-        sine = float(np.linalg.norm(axis))
-        angle = float(np.arctan2(sine, upwards[2]))
-        turned[:3, :3] = Rotation.from_rotvec(angle / max(sine, 1e-12) * axis).as_matrix() @ pose[:3, :3]
+        least, _ = Rotation.align_vectors(np.array([[0.0, 0.0, 1.0]]), upwards[None])
+        turned[:3, :3] = least.as_matrix() @ pose[:3, :3]
     return turned
 
 

@@ -215,8 +215,7 @@ def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
                 for piece in body.scene.pieces:
                     if np.any(piece.lower > high + ROOM_M) or np.any(piece.upper < low - ROOM_M):
                         continue
-                    solids = [make_coal_convex(own)], [CoalSolid.of_piece(piece).convex]
-                    depth = -float(query.closest(solids[0], np.eye(3)[None], np.zeros((1, 3)), solids[1])[0][0])
+                    depth = -query.measure(make_coal_convex(own), CoalSolid.of_piece(piece).convex)
                     if depth > -ROOM_M:
                         which = "the grasps" if grasp.number is None else f"grasp {grasp.number}"
                         inside = f"{name} {1e3 * max(depth, 0.0):.0f} mm inside {piece.name}"

@@ -119,9 +119,7 @@ def is_built_in(piece: ConvexPiece, scene: Scene) -> bool:
         is_near = np.all(other.lower < piece.upper + JOINED_M) and np.all(other.upper > piece.lower - JOINED_M)
         if other.name == piece.name or not is_near or other.upper[2] < piece.lower[2] + JOINED_M:
             continue
-        solid = CoalSolid.of_piece(other)
-        distances, _ = query.closest([own.convex], np.eye(3)[None], np.zeros((1, 3)), [solid.convex])
-        if float(distances[0]) < JOINED_M:
+        if query.measure(own.convex, CoalSolid.of_piece(other).convex) < JOINED_M:
             return True
     return False
 
@@ -138,9 +136,7 @@ def _find_inside(
     for piece in (*body.scene.pieces, *others):
         if np.any(piece.lower > own.vertices.max(axis=0)) or np.any(piece.upper < own.vertices.min(axis=0)):
             continue
-        solid = CoalSolid.of_piece(piece)
-        distances, _ = query.closest([own.convex], np.eye(3)[None], np.zeros((1, 3)), [solid.convex])
-        depth = -float(distances[0])
+        depth = -query.measure(own.convex, CoalSolid.of_piece(piece).convex)
         if depth > (INSIDE_M if piece.name in below else 1e-6) and (worst is None or depth > worst[1]):
             worst = piece.name, depth
     return worst
