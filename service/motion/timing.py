@@ -321,9 +321,8 @@ def _time_segment(
 ) -> Float[np.ndarray, "M"]:
     """Return ds/dt on the grid between two ends; without force limits where these leave no law."""
     cells = Cells.of(curve, grid)
-    shortest = np.diff(curve.knots).min() / _SHORTEST_KNOT_TIME
     slope = np.abs(curve(grid, 1)) / robot.velocity
-    fastest = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), shortest)
+    fastest = np.minimum(1.0 / np.maximum(slope.max(axis=1), 1e-12), _bound_by_knots(curve, grid))
     for wanted in limits:
         rates = _measure_rates(robot, curve, grid, wanted.frame)
         rates[(grid < wanted.first) | (grid > wanted.last)] = 0.0
@@ -338,6 +337,14 @@ def _time_segment(
         if np.all(speed[1:-1] > 0.0) and np.all(np.abs(speed[[0, -1]] - ends) <= _SAME_SPEED):
             return speed
     raise TimingError(f"no time law found between s = {grid[0]} and s = {grid[-1]}")
+
+
+def _bound_by_knots(curve: Curve, s: Float[np.ndarray, "M"]) -> Float[np.ndarray, "M"]:
+    """Return ds/dt with which the knot interval about a point takes its shortest time; at a knot the shorter one's."""
+    spans, last = np.diff(curve.knots), len(curve.knots) - 2
+    behind = np.searchsorted(curve.knots, s, side="left") - 1
+    ahead = np.searchsorted(curve.knots, s, side="right") - 1
+    return np.asarray(np.minimum(spans[behind.clip(0, last)], spans[ahead.clip(0, last)]) / _SHORTEST_KNOT_TIME)
 
 
 def _measure_rates(robot: RobotModel, curve: Curve, s: Float[np.ndarray, "M"], frame: str) -> Float[np.ndarray, "M"]:

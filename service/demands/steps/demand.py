@@ -143,10 +143,10 @@ class _Record:
         taking = None if grasp is None else self._read_taking(named, grasp)
         released: tuple[Gripper, ...] = ()
         if release is not None and release.object in self._holding.held:
-            released = self._holding.held[release.object].grippers
             first = self._recorded.get(f"{named.name}: {OPEN}")
             at = self.recorded.curve.knots[-1] if first is None else first.first
-            self._holding = self._holding.put(release.object, self.recorded.curve(np.array([at]))[0])
+            field_name, begin = f"task.steps[{named.index}].release", self.recorded.curve(np.array([at]))[0]
+            self._holding, released = self._holding.let_go(release, field_name, begin)
         robot = self._holding.placed
         for maker in compile_step(self._holding, named, taking, released):
             self.names.append(maker.name)
@@ -177,6 +177,8 @@ class _Record:
     def _read_taking(self, named: NamedStep, grasp: GraspStep) -> Taking:
         """Return the hands with which a record takes an object: those that carry it, or the nearest to it."""
         grippers = choose_grippers(self.world.robot, grasp.hand, f"task.steps[{named.index}].grasp.hand")
+        free = tuple(gripper for gripper in grippers if gripper.tool not in self._holding.busy)
+        grippers = free or grippers
         closing = self._recorded.get(f"{named.name}: {CLOSE}")
         at = float(self.recorded.curve.knots[-1]) if closing is None else closing.last
         q = self.recorded.curve(np.array([at]))[0]

@@ -18,8 +18,9 @@ class NamedStep:
     Attributes:
         index, name: of it.
         step: the step.
-        lands: object that the next step releases.
-        sets_down: objects that a later step releases, before which nothing may bring them out of level.
+        lands: object that the next step puts down.
+        sets_down: objects that a later step puts down, before which nothing may bring them out of level.
+        puts_down: whether it lets go of an object that no other hand holds.
         entered_m: from the corner with the line before to where this line begins, if that corner is rounded [m].
         leads_to: line into which this one goes without a rest.
     """
@@ -29,6 +30,7 @@ class NamedStep:
     step: StepRequest
     lands: str | None = None
     sets_down: frozenset[str] = frozenset()
+    puts_down: bool = False
     entered_m: float = 0.0
     leads_to: MoveStep | None = None
 
@@ -36,15 +38,29 @@ class NamedStep:
     def list_all(section: StepsSection) -> tuple[NamedStep, ...]:
         """Return all steps of a list."""
         named, lands, later = list[NamedStep](), None, frozenset[str]()
+        put_down = frozenset(_list_put_down(section))
         for k, step in reversed(list(enumerate(section.steps))):
             before = section.steps[k - 1].move if k else None
             entered = 0.0 if before is None else before.blend_m
             blends = step.move is not None and step.move.blend_m > 0.0 and k + 1 < len(section.steps)
             leads_to = section.steps[k + 1].move if blends else None
-            named.append(NamedStep(k, section.names[k], step, lands, later, entered, leads_to))
-            lands = None if step.release is None else step.release.object
+            named.append(NamedStep(k, section.names[k], step, lands, later, k in put_down, entered, leads_to))
+            lands = step.release.object if step.release is not None and k in put_down else None
             later = later if lands is None else later | {lands}
         return tuple(reversed(named))
+
+
+def _list_put_down(section: StepsSection) -> Iterator[int]:
+    """Yield the indices of the releases after which no hand holds the object."""
+    hands: dict[str, int] = {}
+    for k, step in enumerate(section.steps):
+        if step.taken is not None:
+            hands[step.taken.object] = hands.get(step.taken.object, 0) + (2 if step.taken.hand == "both" else 1)
+        elif step.release is not None:
+            name = step.release.object
+            hands[name] = 0 if step.release.hand == "both" else hands.get(name, 0) - 1
+            if hands[name] <= 0:
+                yield k
 
 
 @dataclass(frozen=True)

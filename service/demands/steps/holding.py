@@ -20,7 +20,7 @@ from service.errors import RequestError
 from service.request.robot_parts import RobotServoRequest
 from service.request.scene import ObjectRequest
 from service.request.schema import PlanRequest
-from service.request.tasks.step_objects import HoldStep
+from service.request.tasks.step_objects import HoldStep, ReleaseStep
 from service.request.tasks.steps import StepsSection
 from service.start.resting import SUPPORT_DEPTH_M
 from service.verify import Carrier, Grip, RelativePoseTarget, measure_rests, place_frames, place_resting
@@ -54,14 +54,14 @@ class Hold:
 
     Attributes:
         grippers: the leading one first.
-        force_n: with which each finger presses [N].
+        forces_n: with which each finger of a gripper presses, by gripper [N].
         friction: least coefficient between fingers and object.
         pose: (4, 4) of the object in the link of the leading gripper.
         chain: (4, 4) poses of further tools in the leading tool, by tool.
     """
 
     grippers: tuple[Gripper, ...]
-    force_n: float
+    forces_n: tuple[float, ...]
     friction: float
     pose: Float[np.ndarray, "4 4"]
     chain: Mapping[str, Float[np.ndarray, "4 4"]]
@@ -78,7 +78,10 @@ class Hold:
 
     def make_carrier(self, name: str) -> Carrier:
         """Return what carries the object."""
-        grips = (Grip(own.fingers, min(self.force_n, own.force_n), self.friction) for own in self.grippers)
+        grips = (
+            Grip(own.fingers, min(force, own.force_n), self.friction)
+            for own, force in zip(self.grippers, self.forces_n, strict=True)
+        )
         return Carrier(name, self.grippers[0].link, tuple(grips))
 
     def find_stiffness(self, servo: RobotServoRequest) -> tuple[float, float]:
@@ -185,21 +188,46 @@ class Holding:
         return np.asarray(place_frames(self.robot, q[: self.robot.n], [link])[link] @ hold.pose)
 
     def take(self, name: str, grippers: tuple[Gripper, ...], force_n: float, q: Float[np.ndarray, "n"]) -> Holding:
-        """Return the objects after a grasp that ends at a configuration."""
-        world = self.locate(name, q)
+        """Return the objects after a grasp that ends at a configuration, by hands besides those that hold it."""
+        before = self.held.get(name)
+        forces = (force_n,) * len(grippers)
+        if before is not None:
+            grippers, forces = (*before.grippers, *grippers), (*before.forces_n, *forces)
+        hold = self._hold(name, grippers, forces, q)
+        resting = {key: pose for key, pose in self.resting.items() if key != name}
+        fresh = {name: self.find_rest(name, self.locate(name, q))[1]} if before is None else {}
+        return replace(self, resting=resting, held={**self.held, name: hold}, fresh=fresh)
+
+    def _hold(
+        self, name: str, grippers: tuple[Gripper, ...], forces_n: tuple[float, ...], q: Float[np.ndarray, "n"]
+    ) -> Hold:
+        """Return an object in hands as they are at a configuration."""
         tools = [gripper.tool for gripper in grippers]
         poses = place_frames(self.robot, q[: self.robot.n], [grippers[0].link, *tools])
         leading = np.linalg.inv(poses[tools[0]])
-        hold = Hold(
-            grippers,
-            force_n,
-            self.friction,
-            np.linalg.inv(poses[grippers[0].link]) @ world,
-            {tool: leading @ poses[tool] for tool in tools[1:]},
-        )
-        resting = {key: pose for key, pose in self.resting.items() if key != name}
-        fresh = {name: self.find_rest(name, world)[1]}
-        return replace(self, resting=resting, held={**self.held, name: hold}, fresh=fresh)
+        own = np.linalg.inv(poses[grippers[0].link]) @ self.locate(name, q)
+        chain = {tool: leading @ poses[tool] for tool in tools[1:]}
+        return Hold(grippers, forces_n, self.friction, own, chain)
+
+    def let_go(
+        self, step: ReleaseStep, field_name: str, q: Float[np.ndarray, "n"]
+    ) -> tuple[Holding, tuple[Gripper, ...]]:
+        """Return the objects from a release on that begins at a configuration, and the hands that open.
+
+        Raises:
+            RequestError: the hand does not hold it.
+        """
+        hold = self.held[step.object]
+        opened = tuple(own for own in hold.grippers if step.hand in ("both", own.side))
+        left = [k for k, own in enumerate(hold.grippers) if own not in opened]
+        if not opened:
+            holder = hold.grippers[0].side
+            raise RequestError(f"{field_name}.hand: the {holder} hand holds '{step.object}', not the {step.hand} one")
+        if not left:
+            return self._put(step.object, q), opened
+        grippers, forces = tuple(hold.grippers[k] for k in left), tuple(hold.forces_n[k] for k in left)
+        own = self._hold(step.object, grippers, forces, q)
+        return replace(self, held={**self.held, step.object: own}, fresh={}), opened
 
     def begin_with(self, step: HoldStep, field_name: str, q: Float[np.ndarray, "n"]) -> Holding:
         """Return the objects with one in hands at the start.
@@ -210,8 +238,8 @@ class Holding:
         held = self.take(step.object, choose_grippers(self.robot, step.hand, f"{field_name}.hand"), step.force_n, q)
         return replace(held, fresh={**self.fresh, **held.fresh})
 
-    def put(self, name: str, q: Float[np.ndarray, "n"]) -> Holding:
-        """Return the objects from a release on that begins at a configuration."""
+    def _put(self, name: str, q: Float[np.ndarray, "n"]) -> Holding:
+        """Return the objects with one where the world carries it."""
         held = {key: hold for key, hold in self.held.items() if key != name}
         return replace(self, resting={**self.resting, name: self.locate(name, q)}, held=held, fresh={})
 
@@ -281,9 +309,15 @@ def choose_grippers(robot: RobotModel, hand: str, field_name: str) -> tuple[Grip
     return grippers
 
 
+def _name_other(hands: tuple[str, ...], hand: str) -> str:
+    """Return the hand that still holds an object when one of two lets it go."""
+    known = [own for own in hands if own not in (hand, "both", "auto")]
+    return known[0] if known else {"left": "right", "right": "left"}[hand]
+
+
 def list_sequence_problems(section: StepsSection) -> Iterator[str]:
     """Yield a line per step that needs an object which no hand holds then, or a hand that is not free."""
-    held: dict[str, str] = {}
+    held: dict[str, tuple[str, ...]] = {}
     taken = set(section.carried)
     if section.steps and all(step.hold is not None for step in section.steps):
         yield "task.steps: nothing moves; expected a step after 'hold'"
@@ -293,17 +327,24 @@ def list_sequence_problems(section: StepsSection) -> Iterator[str]:
             yield f"{field_name}: comes after another step; expected first, since it says what hands hold at the start"
         if step.taken is not None:
             name, hand = step.taken.object, step.taken.hand
-            if name in held:
-                yield f"{field_name}.object: '{name}' is in a hand already; release it first"
+            hands = held.get(name, ())
+            if name in held and (hand in ("both", *hands) or "both" in hands or len(hands) == 2):
+                yield f"{field_name}.object: '{name}' is in a hand already; expected the other one, or release it first"
                 continue
-            busy = [other for other, own in held.items() if own == hand or "both" in (own, hand)]
-            if busy or len(held) == 2:
+            busy = [other for other, own in held.items() if hand in own or "both" in (*own, hand)]
+            if busy or sum(map(len, held.values())) == 2:
                 yield f"{field_name}.hand: {hand} holds '{(busy or list(held))[0]}' already; release that first"
                 continue
-            held[name] = hand
+            held[name] = (*hands, hand)
         elif step.release is not None:
-            if held.pop(step.release.object, None) is None:
-                yield f"{field_name}.object: no hand holds '{step.release.object}' then; grasp it before"
+            name, hand = step.release.object, step.release.hand
+            hands = held.pop(name, ())
+            if not hands:
+                yield f"{field_name}.object: no hand holds '{name}' then; grasp it before"
+            elif hand != "both" and not {hand, "both", "auto"} & set(hands):
+                yield f"{field_name}.hand: the {hands[0]} hand holds '{name}' then, not the {hand} one"
+            elif hand != "both" and (len(hands) == 2 or "both" in hands):
+                held[name] = (_name_other(hands, hand),)
         elif step.fit is not None:
             if step.fit.object not in held:
                 yield f"{field_name}.object: no hand holds '{step.fit.object}' then; grasp it before"

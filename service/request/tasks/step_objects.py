@@ -53,15 +53,17 @@ class HoldStep(Section):
 
 @dataclass(config=SECTION)
 class ReleaseStep(Section):
-    """The fingers open, and the hands leave an object where it rests.
+    """The fingers open, and the hands leave an object where it rests, or where another hand holds it.
 
     Attributes:
         object: that is held.
+        hand: that lets it go; ``both`` for every hand that holds it.
         opening_m: free space between each finger and the object as the hand goes [m].
         retreat_m: length of the line on which it goes [m].
     """
 
     object: Name
+    hand: Literal["left", "right", "both"] = "both"
     opening_m: OpeningM = 0.01
     retreat_m: WayM = 0.1
 

@@ -10,6 +10,7 @@ from itertools import chain, count, islice
 import numpy as np
 from jaxtyping import Float
 
+from costs.allowance import Allowance
 from service.body.effort import Effort
 from service.body.holds import find_prescribed
 from service.body.inverse_kinematics import REACHED, draw_configurations, solve_holds
@@ -39,11 +40,13 @@ class GoalEnds:
         solver: of the robot.
         goal: the goal.
         known: (n,) end of an earlier motion, from which the first is searched; None without one.
+        touches: pairs that may touch there.
     """
 
     solver: PhaseSolver
     goal: Goal
     known: Float[np.ndarray, "n"] | None = None
+    touches: Sequence[Allowance] = ()
     _open: Iterator[Float[np.ndarray, "n"]] = field(init=False, repr=False)
     _first: Float[np.ndarray, "n"] | None = field(default=None, init=False, repr=False)
 
@@ -54,7 +57,12 @@ class GoalEnds:
     @cached_property
     def _poses(self) -> Poses[Solved]:
         problem = self.solver.pose_problem(
-            STEP, self.goal.constraints(0), fixed=self.goal.joints, effort=Effort.GOAL_POSE, fraction=0.1
+            STEP,
+            self.goal.constraints(0),
+            self.touches,
+            fixed=self.goal.joints,
+            effort=Effort.GOAL_POSE,
+            fraction=0.1,
         )
         return Poses(replace(problem, most=None), SAME_END)
 

@@ -10,7 +10,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.kinematics import locate_frame, locate_links
-from costs.robot import RobotModel
+from costs.robot import LinkBody, RobotModel
+from costs.scene import ConvexPiece
 from costs.terms import FramePose
 from service.body.holds import Hold
 from service.body.inverse_kinematics import solve_holds
@@ -43,11 +44,13 @@ class Pick:
         item: the object.
         step: that takes it.
         places: (4, 4) poses in the world where it is taken and brought until it is let go, each with words for where.
+        holder: bodies of the hand that holds it as it is taken, in the world.
     """
 
     item: Item
     step: GraspStep
     places: tuple[tuple[Float[np.ndarray, "4 4"], str], ...]
+    holder: tuple[ConvexPiece, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +209,14 @@ def _measure_outside(body: WholeBody, q: Float[np.ndarray, "n"]) -> float:
 def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
     """Return which part of an open hand would be inside what stands around the object, where it is or is brought."""
     query, robot = DistanceQuery(), body.robot
-    for end, where in pick.places:
+    for number, (end, where) in enumerate(pick.places):
+        around = (*body.scene.pieces, *(pick.holder if number == 0 else ()))
         for grasp in choice.grasps:
             pose = end @ grasp.pose_object_tool
             for name, points in list_hand_shapes(robot, grasp):
                 own = points @ pose[:3, :3].T + pose[:3, 3]
                 low, high = own.min(axis=0), own.max(axis=0)
-                for piece in body.scene.pieces:
+                for piece in around:
                     if np.any(piece.lower > high + ROOM_M) or np.any(piece.upper < low - ROOM_M):
                         continue
                     depth = -query.measure(make_coal_convex(own), CoalSolid.of_piece(piece).convex)
@@ -223,6 +227,21 @@ def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
     return None
 
 
+def list_holder(robot: RobotModel, gripper: Gripper, q: Float[np.ndarray, "n"]) -> Iterator[ConvexPiece]:
+    """Yield the bodies of a hand and its fingers in the world at a configuration."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    for part in _list_parts(robot, gripper):
+        place = data.oMi[part.joint]
+        yield ConvexPiece(part.name, part.vertices @ place.rotation.T + place.translation)
+
+
+def _list_parts(robot: RobotModel, gripper: Gripper) -> Iterator[LinkBody]:
+    fingers = {locate_frame(robot, finger)[0] for finger in gripper.fingers}
+    palms = {gripper.link, gripper.front}
+    return (part for part in robot.bodies if part.joint in fingers or part.link in palms)
+
+
 def list_hand_shapes(robot: RobotModel, grasp: Grasp) -> Iterator[tuple[str, Float[np.ndarray, "V 3"]]]:
     """Yield the bodies of an open hand and its fingers by name, in the tool frame [m]."""
     model = robot.model
@@ -231,12 +250,9 @@ def list_hand_shapes(robot: RobotModel, grasp: Grasp) -> Iterator[tuple[str, Flo
         q[robot.joint_names.index(joint)] = value
     pin.framesForwardKinematics(model, data, q)
     tool = data.oMf[model.getFrameId(grasp.gripper.tool)]
-    fingers = {locate_frame(robot, finger)[0] for finger in grasp.gripper.fingers}
-    palms = {grasp.gripper.link, grasp.gripper.front}
-    for part in robot.bodies:
-        if part.joint in fingers or part.link in palms:
-            place = tool.actInv(data.oMi[part.joint])
-            yield part.name, part.vertices @ place.rotation.T + place.translation
+    for part in _list_parts(robot, grasp.gripper):
+        place = tool.actInv(data.oMi[part.joint])
+        yield part.name, part.vertices @ place.rotation.T + place.translation
 
 
 def _comes_from_below(choice: Choice, pose: Float[np.ndarray, "4 4"]) -> bool:

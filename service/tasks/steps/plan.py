@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from costs.robot import RobotModel
 from costs.rotation import pose_matrix
+from costs.scene import ConvexPiece
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
@@ -36,6 +37,7 @@ from service.tasks.steps.choices import (
     Pick,
     find_blocked,
     list_choices,
+    list_holder,
     list_off_middle,
     rank_choices,
 )
@@ -159,14 +161,27 @@ class _Walk:
         return best
 
     def _find_release(self, index: int) -> int:
-        """Return the index of the step that lets go of what a step takes; of the step itself where it takes nothing."""
+        """Return the index of the step whose hand lets go of what a step takes; of the step itself where none does.
+
+        A hand that a release does not name is taken for the one that has held the object for longest.
+        """
         grasp = self._steps[index].step.taken
         if grasp is None:
             return index
+        before = 0
+        for named in self._steps[:index]:
+            if named.step.taken is not None and named.step.taken.object == grasp.object:
+                before += 1
+            elif named.step.release is not None and named.step.release.object == grasp.object:
+                before = 0 if named.puts_down else before - 1
         for k in range(index + 1, len(self._steps)):
             release = self._steps[k].step.release
-            if release is not None and release.object == grasp.object:
+            if release is None or release.object != grasp.object:
+                continue
+            hands = {release.hand, grasp.hand}
+            if len(hands) == 1 or "both" in hands or ("auto" in hands and not before):
                 return k
+            before -= 1
         return len(self._steps)
 
     def _list_ways(self, index: int, state: _State) -> Iterator[_Done]:
@@ -226,8 +241,10 @@ class _Walk:
         step = named.step
         released: tuple[Gripper, ...] = ()
         if step.release is not None:
-            released = holding.held[step.release.object].grippers
-            holding = holding.put(step.release.object, at)
+            try:
+                holding, released = holding.let_go(step.release, f"task.steps[{named.index}].release", at)
+            except RequestError as error:
+                return _Done([], (), Tried(named.name, error.problems), index)
         if step.fit is not None:
             reason = _explain_fit(step.fit, holding.items[step.fit.object], holding.locate(step.fit.object, at))
             if reason is not None:
@@ -326,10 +343,17 @@ class _Walk:
                 is_known = is_known and own.move.by.axes == "world" and not any(own.move.by.rotation_deg)
             elif own.move is not None or own.screw is not None or own.body is not None:
                 is_known = False
-        put = pose if is_known and until < len(self._steps) else None
+        is_put = until < len(self._steps) and self._steps[until].puts_down
+        put = pose if is_known and is_put else None
         if put is not None and not has_walked and not np.allclose(put, places[-1][0]):
             places.append((put, "where it is put"))
-        return Pick(item, step, tuple(places)), put
+        return Pick(item, step, tuple(places), tuple(self._list_holders(step.object, holding, at))), put
+
+    def _list_holders(self, name: str, holding: Holding, at: Float[np.ndarray, "n"]) -> Iterator[ConvexPiece]:
+        """Yield the bodies of the hands that hold an object, at a configuration."""
+        hold, robot = holding.held.get(name), self._setup.robot
+        for gripper in () if hold is None else hold.grippers:
+            yield from list_holder(robot, gripper, at[: robot.n])
 
     @cached_property
     def _near(self) -> tuple[str, ...]:

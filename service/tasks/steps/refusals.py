@@ -41,9 +41,10 @@ def find_obstacle(
     above = _find_on_top(body, holding, pick)
     if above:
         return f"{item.name} is under {above}; that has to be taken away first"
-    rests = [(start, "where it is")]
+    rests = [] if step.object in holding.held else [(start, "where it is")]
+    brought = "" if put is None else f"where it is put, at {np.round(put[:3, 3], 3).tolist()}"
     if put is not None:
-        rests.append((put, f"where it is put, at {np.round(put[:3, 3], 3).tolist()}"))
+        rests.append((put, brought))
     for pose, where in rests:
         margin, names = holding.find_rest(item.name, pose)
         if margin >= REST_MARGIN_M:
@@ -56,7 +57,7 @@ def find_obstacle(
         return f"{item.name} does not rest {where}: {' and '.join(names)} would let it tip or slide"
     met = None if put is None else _find_inside(body, holding, item.name, put)
     if met is not None:
-        return f"there is no place for {item.name} {rests[1][1]}: it would be {1e3 * met[1]:.0f} mm inside {met[0]}"
+        return f"there is no place for {item.name} {brought}: it would be {1e3 * met[1]:.0f} mm inside {met[0]}"
     weak = [gripper for gripper in grippers if gripper.force_n < step.force_n]
     if weak:
         return (

@@ -111,7 +111,7 @@ class StepSolver:
         stage = _Stage.of(self.solver, self.robot, free, at)
         assert free.goal is not None
         goal = stage.make_goal()
-        ends = GoalEnds(stage.solver, goal)
+        ends = GoalEnds(stage.solver, goal, touches=stage.touches)
         found = chain(ends.find(End.FIRST, 0), ends.find(End.OTHERS, 0))
         for q in islice(found, MOST_BEGINS):
             made = self.make(path, q)
@@ -128,7 +128,7 @@ class StepSolver:
         stage = _Stage.of(self.solver, self.robot, made, at)
         goal = stage.make_goal()
         if end is None:
-            ends = GoalEnds(stage.solver, goal)
+            ends = GoalEnds(stage.solver, goal, touches=stage.touches)
             if ends.miss is not None:
                 q = np.stack([at, ends.miss.x[0]])
                 return [stage.plan(q, is_feasible=False)], Tried(made.name, (), ends.miss)

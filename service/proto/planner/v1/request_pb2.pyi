@@ -922,14 +922,16 @@ class Hold(_message.Message):
     def __init__(self, object: _Optional[str] = ..., hand: _Optional[_Union[StepHand, str]] = ..., force_n: _Optional[float] = ...) -> None: ...
 
 class Release(_message.Message):
-    __slots__ = ("object", "opening_m", "retreat_m")
+    __slots__ = ("object", "hand", "opening_m", "retreat_m")
     OBJECT_FIELD_NUMBER: _ClassVar[int]
+    HAND_FIELD_NUMBER: _ClassVar[int]
     OPENING_M_FIELD_NUMBER: _ClassVar[int]
     RETREAT_M_FIELD_NUMBER: _ClassVar[int]
     object: str
+    hand: StepHand
     opening_m: float
     retreat_m: float
-    def __init__(self, object: _Optional[str] = ..., opening_m: _Optional[float] = ..., retreat_m: _Optional[float] = ...) -> None: ...
+    def __init__(self, object: _Optional[str] = ..., hand: _Optional[_Union[StepHand, str]] = ..., opening_m: _Optional[float] = ..., retreat_m: _Optional[float] = ...) -> None: ...
 
 class Fit(_message.Message):
     __slots__ = ("object", "axis", "depth_m", "clearance_m", "at", "pieces", "chamfer_m", "friction", "force_n", "speed_m_s")
