@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -57,6 +57,7 @@ class Grounds:
         robot: source of the robot.
         without: constraints of the request that the verifier cannot check.
         reader: package outside this project that says what the task demands, or None.
+        hits: objects that a scan shows which was read again; None where none was.
     """
 
     request: str
@@ -64,6 +65,7 @@ class Grounds:
     robot: str
     without: tuple[str, ...] = ()
     reader: str | None = None
+    hits: tuple[Mapping[str, Any], ...] | None = None
 
     def sentence(self) -> str:
         """Return the phrase for the verdict's line; equal sources are named once."""
@@ -128,7 +130,8 @@ def rebuild_demands(
     scene_from = "the recorded scene" if are_recorded else scene_from
     demands = _make_demands(World(request, robot, start, scene), surroundings, program)
     reader = None if request.kind not in ADDED else request.kind.demand.partition(":")[0]
-    return demands, Grounds(request_from, scene_from, robot_from, demands.task.unproven, reader)
+    hits = surroundings.list_hits() if is_read else None
+    return demands, Grounds(request_from, scene_from, robot_from, demands.task.unproven, reader, hits)
 
 
 def make_setup_demands(setup: PlanSetup) -> Demands:

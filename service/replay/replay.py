@@ -13,7 +13,7 @@ from costs.robot import RobotError, RobotModel, load_robot
 from service.demands import Demands, HeldMotion, compare_pace, hold_to_request
 from service.errors import DamagedResultError, RequestError, ResultError, shown
 from service.replay.consistency import CHANGED, compare_figures, compare_servos, find_contradictions
-from service.replay.detections import read_doors, read_seen_parts, read_valves
+from service.replay.detections import compare_hits, read_doors, read_seen_parts, read_valves
 from service.replay.folder_files import FileFindings, check_files
 from service.replay.rebuild import Grounds, RecordedWorld, rebuild_demands
 from service.replay.standing import HELD_BEFORE, Standing, State
@@ -158,6 +158,7 @@ def _verify_claim(result: _Result) -> _Answer:
         differences = (
             *held.differences,
             *_compare_demands(result, demands, held.motion, certificate),
+            *(() if grounds.hits is None else compare_hits(result.data["detections"], grounds.hits)),
             *_compare_record(result, certificate, reports),
             *compare_servos(result.data["servo"], held.motion, demands, certificate),
         )

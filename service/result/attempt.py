@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from service.body.task_plan import TaskPlan
 from service.explain.conflict import Conflict
 from service.result.result import PlanResult, Verdict
 from service.setup.prepare import PlanSetup
-from service.setup.world import Surroundings
 from service.start.split_links import suggest_split
 from service.verify import Basis, Certificate, Motion, Status
 
@@ -119,7 +118,7 @@ class Attempt:
             pose_graph=None if task is None else task.pose_graph,
             timings=timings,
             figures={} if task is None or self.motion is None else task.measure(self.motion),
-            detections=_list_detections(setup.surroundings),
+            detections=setup.surroundings.list_hits(),
             obstruction=self._describe_obstruction(setup),
             cloud=setup.surroundings.points,
         )
@@ -136,17 +135,6 @@ class Attempt:
 def _rank(task: TaskPlan, certificate: Certificate) -> tuple[bool, int, float]:
     """Return the order of a verified motion: plans of the whole task last, then by certificate, then by violation."""
     return task.is_feasible, _RANK[certificate.status], -task.shortfall
-
-
-def _list_detections(surroundings: Surroundings) -> tuple[dict[str, Any], ...]:
-    """Return valves and doors as data, the task's with the parts of it that the scan shows."""
-    hits = [
-        *({"kind": "valve", **asdict(valve)} for valve in surroundings.valves),
-        *({"kind": "door", **asdict(door)} for door in surroundings.doors),
-    ]
-    if hits:
-        hits[0]["parts"] = [asdict(part) for part in surroundings.seen]
-    return tuple(hits)
 
 
 def list_shortfalls(certificate: Certificate) -> tuple[str, ...]:

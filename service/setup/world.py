@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -61,6 +61,16 @@ class Surroundings:
     matches: Mapping[str, MeshMatch] = field(default_factory=dict)
     doors: tuple[SeenDoor, ...] = ()
     seen: tuple[SeenPart, ...] = ()
+
+    def list_hits(self) -> tuple[dict[str, Any], ...]:
+        """Return valves and doors as data, the task's with the parts of it that the scan shows."""
+        hits = [
+            *({"kind": "valve", **asdict(valve)} for valve in self.valves),
+            *({"kind": "door", **asdict(door)} for door in self.doors),
+        ]
+        if hits:
+            hits[0]["parts"] = [asdict(part) for part in self.seen]
+        return tuple(hits)
 
     def move_valve(self, offset: Float[np.ndarray, "3"]) -> Surroundings:
         """Return the surroundings with the valve to turn, and the piece behind it, displaced [m]."""

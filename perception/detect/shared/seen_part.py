@@ -43,6 +43,8 @@ class SeenPart:
         """Read the fields of a part from JSON data."""
         places = tuple((float(u), float(v)) for u, v in data["places"])
         hits, passes = (tuple(int(count) for count in data[key]) for key in ("hits", "passes"))
+        if not len(places) == len(hits) == len(passes):
+            raise ValueError(f"expected a count for each of {len(places)} places, got {len(hits)} and {len(passes)}")
         return SeenPart(str(data["name"]), places, hits, passes, float(data["within_m"]))
 
     def count_near(self, place: tuple[float, float], within: float) -> tuple[int, int]:

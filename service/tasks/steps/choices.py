@@ -21,7 +21,7 @@ from service.demands.grasping.grasps import Grasp, close_on, generate_poses, lis
 from service.demands.grasping.gripper import Gripper
 from service.demands.steps.holding import Item
 from service.request.tasks.step_objects import GraspStep
-from service.verify import CoalSolid, DistanceQuery, make_coal_convex
+from service.verify import GRAVITY, CoalSolid, DistanceQuery, make_coal_convex
 
 REACHED = 5e-3  # largest residual of a pose that counts as reached [m, rad]
 MOST_TRIED = 48  # grasps whose poses inverse kinematics looks for
@@ -30,6 +30,7 @@ STEEPEST = 0.4  # largest upward part of the way on which a hand comes
 SEEDS = 2  # configurations from which inverse kinematics starts
 SPANS = (0.5, 0.4, 0.6, 0.3, 0.7, 0.8)  # between two hands on a long object [m]
 OUTSIDE_M = 0.05  # of the centre of mass from the support polygon in a configuration that counts as reached
+SLIPPING_RAD = 20.0  # the same of one in which the object turns in the fingers
 INSIDE_RAD = 10.0  # by which a configuration in which links meet counts as farther away, over all joints
 ROOM_M = 5e-4  # between a hand and what stands around
 ASIDE = (0.25, -0.25, 0.4, -0.4)  # of its length, off the middle of an object
@@ -130,10 +131,11 @@ def _list_beside(pick: Pick, gripper: Gripper, axis: Float[np.ndarray, "3"], off
         yield made if isinstance(made, str) else Grasp(gripper, moved, *made)
 
 
-def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice]) -> list[Choice]:
+def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice], friction: float) -> list[Choice]:
     """Return the choices that are reached wherever the object goes, the nearest to the nominal pose first.
 
-    Those whose links would meet something come later.  Obstacles and balance are left out.
+    Those whose links would meet something, and those in which the object would turn between the fingers at the given
+    friction, come later.  Obstacles and balance are left out.
     """
     poses = locate_links(body.engine, body.nominal, sorted({g.tool for choice in choices for g in choice.grippers}))
     ahead = sorted(choices, key=lambda choice: _measure_turn(pick, choice, poses))
@@ -154,6 +156,7 @@ def rank_choices(body: WholeBody, pick: Pick, choices: Sequence[Choice]) -> list
             n_inside += body.measure_nearest(q) < 0.0
             guesses, before = [q, nominal], q
         else:
+            effort += SLIPPING_RAD * _turns_in_fingers(pick, choice, friction)
             ranked.append((effort + INSIDE_RAD * n_inside, choice))
             n_clear += n_inside == 0
     ranked.sort(key=lambda entry: entry[0])
@@ -168,6 +171,21 @@ def hold_grasps(body: WholeBody, choice: Choice, pose_world_item: Float[np.ndarr
         )
         for grasp in choice.grasps
     )
+
+
+def _turns_in_fingers(pick: Pick, choice: Choice, friction: float) -> bool:
+    """Return whether an object held off its middle turns between the pads of one hand, where it is taken."""
+    if len(choice.grasps) > 1:
+        return False
+    grasp, item = choice.grasps[0], pick.item.body
+    gripper, pose = grasp.gripper, grasp.pose_object_tool
+    middle = pose[:3, 3] + 0.5 * sum(gripper.pads) * pose[:3, 2]
+    down = -pick.places[0][0][2, :3]
+    moment = (
+        GRAVITY * item.inertia.mass * np.cross(item.inertia.centre - middle, down) @ (pose[:3, :3] @ gripper.closing)
+    )
+    radius = 0.25 * abs(gripper.pads[1] - gripper.pads[0])
+    return bool(abs(moment) > 2.0 * friction * pick.step.force_n * radius)
 
 
 def _open_fingers(body: WholeBody, choice: Choice, q: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

@@ -285,7 +285,8 @@ class _Walk:
         for listed in (choices, list_off_middle(pick, grippers)):
             free = [choice for choice in listed if find_blocked(body, pick, choice) is None]
             n_free += len(free)
-            ranked = rank_choices(self._solver.body if not holding.items else body, pick, free)
+            own_body = self._solver.body if not holding.items else body
+            ranked = rank_choices(own_body, pick, free, holding.friction)
             if ranked:
                 break
         if not n_free:
