@@ -1,4 +1,4 @@
-"""Convex hulls for the physics: faces moved inwards, volumes, and boxes among hulls."""
+"""Convex hulls for the physics: faces moved inwards, level tops, and boxes among hulls."""
 
 from __future__ import annotations
 
@@ -25,14 +25,6 @@ def shrink_hull(vertices: Float[np.ndarray, "V 3"], depth: float) -> Float[np.nd
     moved[:, 3] += min(depth, 0.9 * radius)
     corners = HalfspaceIntersection(moved, middle).intersections
     return np.unique(np.round(corners, 9), axis=0)
-
-
-def measure_volume(vertices: Float[np.ndarray, "V 3"]) -> float:
-    """Return the volume of the hull of points [m^3]; 0 where they are on a plane."""
-    try:
-        return float(ConvexHull(vertices).volume)
-    except QhullError:
-        return 0.0
 
 
 def find_level_top(vertices: Float[np.ndarray, "V 3"]) -> float | None:

@@ -14,10 +14,11 @@ from jaxtyping import Float
 
 from costs.robot import RobotHand, RobotModel, read_joint_axis
 from costs.robot.carried import MovableObject
-from service.demands.resistance import ASSUMED_DENSITY, MechanismPhysics
+from service.demands.moved_object.assumed import assume_inertia, measure_volume
+from service.demands.resistance import MechanismPhysics
 from service.demands.stance import UNSETTLED
 from service.errors import ResultError
-from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
+from service.simulation.hulls import find_level_top, shrink_hull
 from service.simulation.options import SimulationOptions
 from service.simulation.perturb import Perturbation
 from service.verify import Motion, find_mechanism_joints, measure_rests, place_resting, split_motion
@@ -337,18 +338,9 @@ class SpecBuilder:
             _set_inertia(body, known.mass, known.centre, known.moments)
             return
         if is_moved:
-            volume, middle, spread = 0.0, np.zeros(3), np.full(3, LEAST_INERTIA)
-            parts = [b.vertices for b in self.robot.bodies if b.joint == joint]
-            volumes = [measure_volume(part) for part in parts]
-            volume = sum(volumes)
-            if volume > 0.0:
-                middle = np.sum([v * p.mean(axis=0) for v, p in zip(volumes, parts, strict=True)], axis=0) / volume
-                everything = np.concatenate(parts)
-                sides = np.ptp(everything, axis=0) ** 2
-                spread = (sides.sum() - sides) / 12.0  # of a box that contains them
-            mass = max(ASSUMED_DENSITY * volume, LEAST_MASS)
-            body.mass, body.ipos = mass, middle
-            body.inertia = np.maximum(mass * spread, LEAST_INERTIA)
+            assumed = assume_inertia([b.vertices for b in self.robot.bodies if b.joint == joint])
+            body.mass, body.ipos = max(assumed.mass, LEAST_MASS), assumed.centre
+            body.inertia = np.maximum(np.diag(assumed.moments), LEAST_INERTIA)
             body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
             return
         inertia = self.robot.model.inertias[joint]

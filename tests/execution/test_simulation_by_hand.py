@@ -18,12 +18,13 @@ from costs.robot import LinkInertia, MechanismJoint, Release, RobotModel, with_m
 from costs.robot.mesh.hull import make_outer_hull
 from costs.robot.model import LinkBody
 from costs.scene import ConvexPiece, Scene
+from service.demands.moved_object.assumed import measure_volume
 from service.demands.moved_object.loads import MovedObject
 from service.demands.resistance import MechanismPhysics, Resistance
 from service.errors import RequestError, ResultError
 from service.execution.driver import JointCommand
 from service.execution.reference import PlannedReference
-from service.simulation.hulls import find_level_top, measure_volume, shrink_hull
+from service.simulation.hulls import find_level_top, shrink_hull
 from service.simulation.model import PhysicsModel, build_physics
 from service.simulation.options import SimulationOptions
 from service.simulation.robot import SimulatedRobot

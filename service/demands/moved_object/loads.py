@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from costs.robot import MechanismJoint, Release, make_mechanism_model
 from costs.robot.servo import DAMPING_S
+from service.demands.moved_object.assumed import assume_inertia
 from service.demands.moved_object.ranges import bound_polynomial, bound_waves
 
 AT_STOP = 1e-6  # by which a joint at its stop may be off [rad, m]
@@ -138,6 +139,11 @@ class MovedObject:
     def has_masses(self) -> bool:
         """Whether a joint moves a mass."""
         return any(joint.inertia is not None for joint in self.joints)
+
+    def assume_masses(self) -> MovedObject:
+        """Return the object with the masses that its shapes let expect."""
+        own = ((joint, assume_inertia(list(joint.bodies.values()))) for joint in self.joints)
+        return replace(self, joints=tuple(replace(joint, inertia=i if i.mass > 0.0 else None) for joint, i in own))
 
     @property
     def start(self) -> Float[np.ndarray, "k"]:
@@ -285,28 +291,32 @@ def choose_pace(
 
     A short travel takes at least 0.6 s: position servos lag behind by the acceleration times the square of their time
     constant as a motion ends, which then is a hundredth of the travel.
-    A joint with a mass is moved so gently that its inertia comes to a fifth of what it opposes at rest: the object then
-    never runs ahead of a hand that pushes it against its friction or weight.  A move takes no longer than 10 s for it.
+    A joint is moved so gently that its inertia comes to a fifth of what it opposes at rest: the object then never runs
+    ahead of a hand that pushes it against its friction or weight.  A move takes no longer than 10 s for it.  Where
+    nobody states a mass, the inertia is that of the shapes as wood, which loads leave out.
     From rest to rest the speed is at most the root of acceleration times travel.
     """
+    heavy = moved if moved.has_masses else moved.assume_masses()
     for index, joint in enumerate(moved.joints):
         own = [(first, last) for first, last in moves if last[index] != first[index]]
         lags = (LAG_SHARE * float(abs(last[index] - first[index])) / DAMPING_S**2 for first, last in own)
         joint = replace(joint, acceleration=min([joint.acceleration, *lags]))
-        if not own or not (moved.has_masses or joint.damping):
+        if not own or not (heavy.has_masses or joint.damping):
             yield joint
             continue
-        acceleration = min([joint.acceleration, *(_find_gentle(moved, index, *move) for move in own)])
+        acceleration = min([joint.acceleration, *(_find_gentle(moved, heavy, index, *move) for move in own)])
         travel = sum(float(abs(last[index] - first[index])) for first, last in own)
         yield replace(
             joint, acceleration=acceleration, velocity=min(joint.velocity, float(np.sqrt(acceleration * travel)))
         )
 
 
-def _find_gentle(moved: MovedObject, index: int, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]) -> float:
-    """Return the acceleration of a move at which inertia is small beside friction, weight and springs."""
+def _find_gentle(
+    moved: MovedObject, heavy: MovedObject, index: int, first: Float[np.ndarray, "k"], last: Float[np.ndarray, "k"]
+) -> float:
+    """Return the acceleration of a move at which the inertia of a heavy object is small beside what opposes."""
     terms = moved.bound_move(first, last)
-    inertia = float(np.abs(terms.inertia[:, index]).max())
+    inertia = float(np.abs(heavy.bound_move(first, last).inertia[:, index]).max())
     if inertia <= 0.0:
         return np.inf
     travel = float(last[index] - first[index])
