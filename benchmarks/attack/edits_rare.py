@@ -369,3 +369,40 @@ def a_walk_that_goes_farther(folder: Folder) -> None:
 def feet_that_stay_where_they_were(folder: Folder) -> None:
     for phase in folder.phases[1:]:
         phase["contacts"] = folder.phases[0]["contacts"]
+
+
+# An object that goes from hand to hand.
+def _carriers(folder: Folder, phase: str) -> list[dict[str, Any]]:
+    return cast("list[dict[str, Any]]", next(p for p in folder.data["phases"] if p["name"] == phase)["carriers"])
+
+
+@RARE_EDITS.lie("handover")
+def a_hand_that_still_holds_what_it_has_let_go(folder: Folder) -> None:
+    both = _carriers(folder, "give: open")[0]["grips"] + _carriers(folder, "take over: close")[0]["grips"]
+    for phase in ("give: open", "give: leave", "down"):
+        _carriers(folder, phase)[0]["grips"] = both
+
+
+@RARE_EDITS.lie("handover", level=REMADE)
+def a_second_hand_that_never_closes(folder: Folder) -> None:
+    rows = np.array(folder.curve["positions"])
+    for joint in ("second_grip_1", "second_grip_2"):
+        rows[:, _column(folder, joint)] = rows[0, _column(folder, joint)]
+    folder.curve["positions"] = rows.tolist()
+
+
+@RARE_EDITS.lie("handover", level=HASHED)
+def the_other_hand_that_lets_go(folder: Folder) -> None:
+    _steps(folder)[3]["release"]["hand"] = "left"
+
+
+@RARE_EDITS.lie("handover", level=HASHED)
+def hands_that_both_let_go_in_the_air(folder: Folder) -> None:
+    _steps(folder)[3]["release"]["hand"] = "both"
+
+
+@RARE_EDITS.lie("handover")
+def a_bar_that_the_first_hand_carries_to_the_end(folder: Folder) -> None:
+    first = _carriers(folder, "up")
+    for phase in ("give: open", "give: leave", "down"):
+        _carriers(folder, phase)[:] = first

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from benchmarks.attack.arm_files import arm_request, write_arm
-from benchmarks.attack.gantry_files import pick_place_request, write_gantry
+from benchmarks.attack.gantry_files import hand_over_request, pick_place_request, write_gantry, write_two_hands
 from benchmarks.attack.step_requests import FROM, INTO, TOP, peg_request
 from benchmarks.tasks.carry import draw_both
 
@@ -165,6 +165,11 @@ def make_two_pushes(folder: Path) -> dict[str, Any]:
     }
 
 
+def make_hand_over(folder: Path) -> dict[str, Any]:
+    """Return a request that hands a bar over."""
+    return hand_over_request(write_two_hands(folder))
+
+
 RARE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "mujoco": make_mujoco,
     "split": make_split,
@@ -176,4 +181,5 @@ RARE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "follower": make_follower,
     "beam": make_beam,
     "pushes": make_two_pushes,
+    "handover": make_hand_over,
 }

@@ -90,7 +90,7 @@ def test_what_a_later_step_releases_is_known_to_every_step_before(urdf: Path) ->
     named = NamedStep.list_all(parse_request(peg_request(urdf)).section)  # type: ignore[arg-type]
     (last,) = [k for k, own in enumerate(named) if own.step.release is not None]
     assert [own.sets_down for own in named] == [{"peg"} if k < last else set() for k in range(len(named))]
-    assert [own.lands for own in named] == [("peg" if k == last - 1 else None) for k in range(len(named))]
+    assert [own.lands for own in named] == [(("peg",) if k == last - 1 else ()) for k in range(len(named))]
 
 
 def test_a_plan_goes_on_with_what_the_hand_holds(urdf: Path) -> None:

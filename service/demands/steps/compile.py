@@ -74,8 +74,8 @@ def compile_step(
             partial(
                 _carry,
                 maker,
-                holding if number == 0 else holding.settle(),
-                (lands,) if lands is not None and number == len(makers) - 1 else (),
+                holding if number == 0 else holding.settle(named.waits),
+                lands if number == len(makers) - 1 else named.rests,
             ),
         )
         for number, maker in enumerate(makers)

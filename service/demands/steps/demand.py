@@ -156,7 +156,7 @@ class _Record:
             ends = self.recorded.curve(np.array([phase.first, phase.last]))[:, : robot.n]
             self.phases[maker.name] = maker.make(ends[0]).demand(robot, ends[0], ends[1])
             q = ends[1]
-        self._holding = self._holding.settle()
+        self._holding = self._holding.settle(named.waits)
         if grasp is not None and taking is not None and q is not None:
             self._holding = self._holding.take(grasp.object, taking.grippers, grasp.force_n, q)
 

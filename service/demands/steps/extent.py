@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from service.request.tasks.hand_steps import MoveStep
@@ -18,7 +18,9 @@ class NamedStep:
     Attributes:
         index, name: of it.
         step: the step.
-        lands: object that the next step puts down.
+        lands: objects that rest at its end: no later step moves them before they are put down.
+        rests: those of them that it does not move either.
+        waits: objects that hands have taken, and that no step up to this one has moved.
         sets_down: objects that a later step puts down, before which nothing may bring them out of level.
         puts_down: whether it lets go of an object that no other hand holds.
         entered_m: from the corner with the line before to where this line begins, if that corner is rounded [m].
@@ -28,7 +30,9 @@ class NamedStep:
     index: int
     name: str
     step: StepRequest
-    lands: str | None = None
+    lands: tuple[str, ...] = ()
+    rests: tuple[str, ...] = ()
+    waits: tuple[str, ...] = ()
     sets_down: frozenset[str] = frozenset()
     puts_down: bool = False
     entered_m: float = 0.0
@@ -37,17 +41,48 @@ class NamedStep:
     @staticmethod
     def list_all(section: StepsSection) -> tuple[NamedStep, ...]:
         """Return all steps of a list."""
-        named, lands, later = list[NamedStep](), None, frozenset[str]()
-        put_down = frozenset(_list_put_down(section))
+        named, lands, later = list[NamedStep](), tuple[str, ...](), frozenset[str]()
+        put_down, waiting = frozenset(_list_put_down(section)), list(_list_waiting(section))
         for k, step in reversed(list(enumerate(section.steps))):
             before = section.steps[k - 1].move if k else None
             entered = 0.0 if before is None else before.blend_m
             blends = step.move is not None and step.move.blend_m > 0.0 and k + 1 < len(section.steps)
             leads_to = section.steps[k + 1].move if blends else None
-            named.append(NamedStep(k, section.names[k], step, lands, later, k in put_down, entered, leads_to))
-            lands = step.release.object if step.release is not None and k in put_down else None
-            later = later if lands is None else later | {lands}
+            rests = tuple(name for name in lands if not _may_move(step, name, section.carried))
+            named.append(
+                NamedStep(k, section.names[k], step, lands, rests, waiting[k], later, k in put_down, entered, leads_to)
+            )
+            if step.release is not None and k in put_down:
+                lands, later = (*lands, step.release.object), later | {step.release.object}
+            else:
+                lands = rests
         return tuple(reversed(named))
+
+
+def _may_move(step: StepRequest, name: str, objects: Collection[str]) -> bool:
+    """Return whether a step may move an object that a hand holds: all do but those that say which others they move."""
+    if step.taken is not None or step.release is not None:
+        return step.taken is not None and step.taken.object == name
+    if step.move is not None and step.move.poses:
+        moved = [pose.link for pose in step.move.poses]
+    elif step.fit is not None:
+        moved = [step.fit.object]
+    else:
+        own = step.move or step.screw or step.follow or step.touch
+        moved = [] if own is None or own.frame is None else [own.frame]
+    return not moved or name in moved or not set(moved) <= set(objects)
+
+
+def _list_waiting(section: StepsSection) -> Iterator[tuple[str, ...]]:
+    """Yield for each step the objects that hands have taken before, and that no step has moved."""
+    waiting: tuple[str, ...] = ()
+    for step in section.steps:
+        waiting = tuple(name for name in waiting if not _may_move(step, name, section.carried))
+        if step.release is not None:
+            waiting = tuple(name for name in waiting if name != step.release.object)
+        yield waiting
+        if step.taken is not None:
+            waiting = (*waiting, step.taken.object)
 
 
 def _list_put_down(section: StepsSection) -> Iterator[int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -117,7 +117,7 @@ class Holding:
         servo: what the request says of hands that meet a surface.
         resting: (4, 4) poses in the world of those that the world carries, by name.
         held: the others, by name.
-        fresh: pieces and objects that the object touches which the step before has taken, by its name.
+        fresh: pieces and objects that an object touches which was taken and not moved yet, by its name.
         stands: (n,) configuration at whose feet the robot stands; None for its start.
     """
 
@@ -195,7 +195,9 @@ class Holding:
             grippers, forces = (*before.grippers, *grippers), (*before.forces_n, *forces)
         hold = self._hold(name, grippers, forces, q)
         resting = {key: pose for key, pose in self.resting.items() if key != name}
-        fresh = {name: self.find_rest(name, self.locate(name, q))[1]} if before is None else {}
+        fresh = dict(self.fresh)
+        if before is None:
+            fresh[name] = self.find_rest(name, self.locate(name, q))[1]
         return replace(self, resting=resting, held={**self.held, name: hold}, fresh=fresh)
 
     def _hold(
@@ -227,7 +229,7 @@ class Holding:
             return self._put(step.object, q), opened
         grippers, forces = tuple(hold.grippers[k] for k in left), tuple(hold.forces_n[k] for k in left)
         own = self._hold(step.object, grippers, forces, q)
-        return replace(self, held={**self.held, step.object: own}, fresh={}), opened
+        return replace(self, held={**self.held, step.object: own}), opened
 
     def begin_with(self, step: HoldStep, field_name: str, q: Float[np.ndarray, "n"]) -> Holding:
         """Return the objects with one in hands at the start.
@@ -235,17 +237,17 @@ class Holding:
         Raises:
             RequestError: the robot has no such hand.
         """
-        held = self.take(step.object, choose_grippers(self.robot, step.hand, f"{field_name}.hand"), step.force_n, q)
-        return replace(held, fresh={**self.fresh, **held.fresh})
+        return self.take(step.object, choose_grippers(self.robot, step.hand, f"{field_name}.hand"), step.force_n, q)
 
     def _put(self, name: str, q: Float[np.ndarray, "n"]) -> Holding:
         """Return the objects with one where the world carries it."""
         held = {key: hold for key, hold in self.held.items() if key != name}
-        return replace(self, resting={**self.resting, name: self.locate(name, q)}, held=held, fresh={})
+        fresh = {key: pieces for key, pieces in self.fresh.items() if key != name}
+        return replace(self, resting={**self.resting, name: self.locate(name, q)}, held=held, fresh=fresh)
 
-    def settle(self) -> Holding:
-        """Return the objects after the step that moves those just taken off what they rested on."""
-        return replace(self, fresh={})
+    def settle(self, waits: Collection[str] = ()) -> Holding:
+        """Return the objects after a step that has moved all of those just taken, but for some, off what bore them."""
+        return replace(self, fresh={name: pieces for name, pieces in self.fresh.items() if name in waits})
 
     def find_rest(self, name: str, pose: Float[np.ndarray, "4 4"]) -> tuple[float, tuple[str, ...]]:
         """Return the margin with which an object rests at a pose in the world [m], and on which pieces and objects."""
@@ -328,10 +330,10 @@ def list_sequence_problems(section: StepsSection) -> Iterator[str]:
         if step.taken is not None:
             name, hand = step.taken.object, step.taken.hand
             hands = held.get(name, ())
-            if name in held and (hand in ("both", *hands) or "both" in hands or len(hands) == 2):
+            if name in held and (hand in {"both", *hands} - {"auto"} or "both" in hands or len(hands) == 2):
                 yield f"{field_name}.object: '{name}' is in a hand already; expected the other one, or release it first"
                 continue
-            busy = [other for other, own in held.items() if hand in own or "both" in (*own, hand)]
+            busy = [other for other, own in held.items() if (hand in own and hand != "auto") or "both" in (*own, hand)]
             if busy or sum(map(len, held.values())) == 2:
                 yield f"{field_name}.hand: {hand} holds '{(busy or list(held))[0]}' already; release that first"
                 continue

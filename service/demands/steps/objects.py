@@ -64,7 +64,9 @@ def list_grasp(holding: Holding, step: GraspStep, name: str, taking: Taking) -> 
         return StepPhase(f"{name}: {ENTER}", _lead_along(holding, tools, step.approach_m, q), locked=_fingers(taking))
 
     def close(q: Float[np.ndarray, "n"]) -> StepPhase:
-        fingers = {joint: value for grasp in grasps for joint, value in grasp.closed.items()}
+        names = holding.robot.joint_names
+        fingers = {joint: float(q[names.index(joint)]) for joint in _fingers(taking)}  # where a record shows how far
+        fingers |= {joint: value for grasp in grasps for joint, value in grasp.closed.items()}
         touches = tuple(list_pad_touches(step.object, taking.grippers))
         targets = tuple(_hold_grasps(holding, item, step, tools, q))
         return StepPhase(f"{name}: {CLOSE}", straight=fingers, touches=touches, targets=targets, is_chosen=True)

@@ -256,7 +256,7 @@ class _Walk:
             lines = [describe_weight(self._solver.body, holding, name, q) for name in holding.held]
             tried = replace(tried, reasons=tuple(line for line in lines if line))
         order = tuple(maker.name for maker in makers)
-        reached = None if tried is not None else _State(phases[-1].q[-1], state.values, holding.settle())
+        reached = None if tried is not None else _State(phases[-1].q[-1], state.values, holding.settle(named.waits))
         return _Done(phases, order, tried, index, reached)
 
     def _take(self, index: int, step: GraspStep, state: _State) -> Iterator[_Done]:
@@ -304,7 +304,8 @@ class _Walk:
             after = None
             if tried is None:
                 q = phases[-1].q[-1]
-                after = _State(q, state.values, holding.take(step.object, choice.grippers, step.force_n, q))
+                taken = holding.settle(named.waits).take(step.object, choice.grippers, step.force_n, q)
+                after = _State(q, state.values, taken)
             yield _Done(phases, order, tried, index, after, (f"{step.object} is taken by {choice.describe()}",))
 
     def _find_places(
