@@ -82,3 +82,10 @@ def test_a_free_motion_ends_where_what_it_carries_rests(tmp_path: Path) -> None:
     }
     result = plan(parse_request(request))
     assert result.verdict.value == "CERTIFIED", result.explanation
+
+
+def test_a_second_hand_that_is_not_there_is_named(tmp_path: Path) -> None:
+    request = pick_place_request(write_gantry(tmp_path))
+    request["task"] = {"steps": [{"grasp": {"object": "block"}}, {"grasp": {"object": "block"}}]}
+    result = plan(parse_request(request))
+    assert "no hand is free to take block" in " ".join(result.explanation)

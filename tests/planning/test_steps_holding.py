@@ -54,9 +54,10 @@ def _compiled() -> tuple[Holding, dict[str, StepPhase], np.ndarray]:
     phases = {}
     for named in NamedStep.list_all(section)[2:-1]:  # type: ignore[arg-type]
         phases |= {maker.name: maker.make(leaning) for maker in compile_step(holding, named)}
-    put = holding.put("a", leaning)
     last = NamedStep.list_all(section)[-1]  # type: ignore[arg-type]
-    phases |= {maker.name: maker.make(leaning) for maker in compile_step(put, last, None, holding.held["a"].grippers)}
+    assert last.step.release is not None
+    put, opened = holding.let_go(last.step.release, "release", leaning)
+    phases |= {maker.name: maker.make(leaning) for maker in compile_step(put, last, None, opened)}
     return holding, phases, leaning
 
 

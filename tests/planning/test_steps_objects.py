@@ -155,7 +155,7 @@ REFUSED = {
          {"move": {"frame": "peg", "by": {"translation": [0, 0, 0.1]}, "along": "line"}}],
         "no hand holds 'peg' then; grasp it before",
     ),
-    "taken twice": ([{"grasp": {"object": "peg"}}, {"grasp": {"object": "peg"}}], "'peg' is in a hand already"),
+    "taken twice": (2 * [{"grasp": {"object": "peg", "hand": "right"}}], "'peg' is in a hand already"),
     "unknown": ([{"grasp": {"object": "cup"}}], "unknown object 'cup'; the scene has peg"),
     "no such hand": ([{"grasp": {"object": "peg", "hand": "left"}}], "left needs a hand with two fingers that slide"),
     "held late": (

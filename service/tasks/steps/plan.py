@@ -274,7 +274,7 @@ class _Walk:
             yield put
             return
         is_first = bool(np.allclose(pick.places[0][0], pick.item.body.start))
-        reason = find_obstacle(body, holding, pick, put, grippers)
+        reason = find_obstacle(body, holding, pick, put, grippers) if grippers else None
         choices, refused = list_choices(pick, grippers) if reason is None else ([], ())
         if reason is None and not choices:
             reason = f"{step.object} is {refused[0]}" if refused else f"no hand is free to take {step.object}"
