@@ -35,7 +35,7 @@ from service.errors import RequestError
 from service.request.file import parse_request
 from service.request.schema import PlanRequest
 
-GANTRIES = ("carried", "peg", "blends", "stack", "follower")
+GANTRIES = ("carried", "peg", "blends", "stack", "follower", "handover")
 DIRECTIONS = ("axis", "direction", "normal", "tilt_towards")  # of any length
 LESS = {  # a change of a kind of field, after a base where it is of that base alone, and why it may be believed
     "robot.name": "the verdict says that it rests on the robot in the folder",
@@ -62,6 +62,9 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     "task.steps.*.touch.force_n smaller": "what bears the larger force bears it",
     "touches: task.steps with its last twice": "a plan ends with a touch",
     "peg: task.steps.*.move.": "errors along a way that is free; the goal has tolerances of its own",
+    "handover: task.steps.*.move.rotation_tolerance_deg": "the same",
+    "handover: task.steps.*.move.poses.*.rotation_tolerance_deg smaller": "what is put down is level anyhow",
+    "handover: robot.hands.left.peg_radius_m": "a hand without a peg",
     **{f"{base}: robot.hands.right.peg_radius_m": "a hand without a peg" for base in GANTRIES},
     "lever: task.valve.spoke_width_m": "of wheels",
     "paths: task.steps.*.follow.tilt_towards": "of a path without tilt, or along the normal",

@@ -31,7 +31,14 @@ class StepsDemandPart(DemandPart[StepsSection]):
     """Steps one after the other."""
 
     def make_demand(self, section: StepsSection, world: World, shown: Shown, program: object) -> StepsDemand:
-        """Return the steps as a demand."""
+        """Return the steps as a demand.
+
+        Raises:
+            RequestError: the list contradicts itself.
+        """
+        problems = (*list_sequence_problems(section), *list_blend_problems(section))
+        if problems:
+            raise RequestError(problems)
         return StepsDemand(section, Holding.of(section, world.request, world.robot, world.scene))
 
     def list_name_problems(self, section: StepsSection, request: PlanRequest, robot: RobotModel) -> Iterator[str]:
