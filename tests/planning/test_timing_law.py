@@ -71,6 +71,13 @@ def test_a_rest_within_the_curve_costs_what_stopping_costs() -> None:
     assert time_curve(robot, curve, [0.5]).times[-1] == pytest.approx(3.0, rel=0.005)
 
 
+def test_a_short_knot_interval_does_not_slow_what_is_beside_it() -> None:
+    knots = np.concatenate([np.linspace(0.0, 1.0, 21), [1.0 + 1e-4]])
+    curve = Curve(knots, 2.0 * knots[:, None], np.full((22, 1), 2.0))
+    law = time_curve(_robot(1), curve, [1.0])
+    assert law.times[-1] == pytest.approx(2.5 + 2.0 * np.sqrt(2e-4 / 2.0), rel=0.02)
+
+
 def test_scales_slow_the_line_down() -> None:
     curve = Curve(np.linspace(0.0, 1.0, 21), np.linspace(0.0, 2.0, 21)[:, None], np.full((21, 1), 2.0))
     law = time_curve(_robot(1), curve, settings=TimingSettings(velocity_scale=0.5, acceleration_scale=0.25))
