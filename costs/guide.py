@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 SHORTEST_M, SMALLEST_RAD = 1e-6, 1e-6  # of a way and of a turn that count
 TURN_ARM_M = 0.1  # at which a turn counts as a length beside distances, where turns of an arc have to be told apart
@@ -94,15 +93,21 @@ class Guide:
 
     def positions(self, share: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S 3"]:
         """Return the origin's places [m]."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         carried = Rotation.from_rotvec(np.outer(share * self.angle, self.axis)).apply(self.position - self.centre)
         return np.asarray(self.centre + carried + np.outer(share, self.shift))
 
     def rotations(self, share: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S 3 3"]:
         """Return rotation_world_frame."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         return np.asarray(Rotation.from_rotvec(np.outer(share, self.turn)).as_matrix() @ self.rotation)
 
     def tangents(self, share: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S 3"]:
         """Return the derivatives of the origin's place by the share [m]."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         arms = Rotation.from_rotvec(np.outer(share * self.angle, self.axis)).apply(self.arm)
         return np.asarray(self.angle * np.cross(self.axis, arms) + self.shift)
 
@@ -123,6 +128,8 @@ class Guide:
         A point of an arc has one share for each turn: the one nearest to ``near`` is returned; by default the one
         between the ends at which place and turn of the frame fit best.
         """
+        from scipy.spatial.transform import Rotation  # slow to import
+
         if not self.has_length:
             if self.turned < SMALLEST_RAD:
                 return np.zeros(len(position)) if near is None else np.asarray(near, dtype=float)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,8 @@ class SupportPolygon:
         Raises:
             ValueError: fewer than three points, or all on a line.
         """
+        from scipy.spatial import ConvexHull  # slow to import
+
         points = np.asarray(points, dtype=float)
         if len(points) < 3 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 2:
             raise ValueError("a support polygon needs three contact points that are not on a line")

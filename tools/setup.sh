@@ -9,17 +9,16 @@ unset PYTHONPATH PYTHONHOME PYTHONSTARTUP VIRTUAL_ENV PIP_USER PIP_TARGET PIP_PR
 
 have_uv() { command -v uv >/dev/null 2>&1; }
 
-# The first Python of a supported version that can make a virtual environment; nothing if there is none.
+# The first Python of a supported version that can make a virtual environment; nothing if there is none. That of the
+# distribution comes first: it is built with profiles, and one that was compiled without takes a quarter longer for all.
 find_python() {
-    local modules="venv, ensurepip" name candidate
+    local modules="venv, ensurepip" candidate
     if have_uv; then modules="sys"; fi
-    for name in python3.11 python3.12 python3.13 python3; do
-        for candidate in $(type -ap "$name") "/usr/bin/$name"; do
-            if "$candidate" -c "import sys, $modules; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))" 2>/dev/null; then
-                echo "$candidate"
-                return
-            fi
-        done
+    for candidate in /usr/bin/python3.1{1,2,3} /usr/bin/python3 $(type -ap python3.11 python3.12 python3.13 python3); do
+        if "$candidate" -c "import sys, $modules; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))" 2>/dev/null; then
+            echo "$candidate"
+            return
+        fi
     done
 }
 
@@ -66,7 +65,9 @@ install_environment() {
     else
         echo "setup: venv and pip of $python (a few minutes; uv, if installed, is faster)"
         "$python" -m venv "$venv"
-        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable ".[$extras]"
+        # Compiling all 13,000 modules takes 20 s; Python compiles the tenth that is used when it is first imported.
+        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-compile --constraint constraints.txt \
+            --editable ".[$extras]"
     fi
 }
 

@@ -75,8 +75,10 @@ def _run(program: str, checkout: Path, folder: str) -> tuple[float, str]:
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     environment |= {"PYTHONPATH": str(checkout), "PYTHONPYCACHEPREFIX": f"{folder}/bytecode", "OMP_NUM_THREADS": "1"}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    # A release may refuse to replace the result of another one.
+    result = Path(folder) / f"result{checkout.as_posix().replace('/', '_')}"
     done = subprocess.run(
-        [sys.executable, "-c", program, f"{folder}/result"],
+        [sys.executable, "-c", program, str(result)],
         cwd=checkout,
         env=environment,
         capture_output=True,

@@ -9,7 +9,6 @@ from weakref import WeakKeyDictionary
 import coal
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot.model import LinkBody
 
@@ -28,6 +27,8 @@ def make_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
 @lru_cache(maxsize=512)
 def _make_hull(points: bytes) -> coal.Convex:
     """Make the hull of (V, 3) vertices given as bytes; cached, since every checker of a plan needs the same ones."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     vertices = np.unique(np.frombuffer(points).reshape(-1, 3), axis=0)
     if len(vertices) < MIN_POINTS:  # coal corrupts memory when a triangle names a vertex twice
         vertices = vertices[np.arange(MIN_POINTS) % len(vertices)]
@@ -86,6 +87,8 @@ def make_swept_convex(vertices: Float[np.ndarray, "V 3"]) -> tuple[coal.Convex, 
 @lru_cache(maxsize=32)
 def _make_swept_topology(points: bytes) -> coal.StdVec_Triangle:
     """Make triangles of two copies of a hull with every point a neighbour of all points of the other copy."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     vertices = np.frombuffer(points).reshape(-1, 3)
     count, hull = len(vertices), ConvexHull(vertices)
     neighbour = np.empty(count, dtype=int)

@@ -10,7 +10,6 @@ from typing import Literal, get_args
 import numpy as np
 import yaml
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
 from costs.contact import Contact
 from costs.names import would_do
@@ -177,6 +176,8 @@ def _find_surface(body: LinkBody, point: Float[np.ndarray, "3"]) -> tuple[float,
 def _find_hull_surface(
     vertices: Float[np.ndarray, "V 3"], point: Float[np.ndarray, "3"]
 ) -> tuple[float, Float[np.ndarray, "K 3"]]:
+    from scipy.spatial import ConvexHull  # slow to import
+
     hull = ConvexHull(vertices)
     normals, offsets = hull.equations[:, :3], hull.equations[:, 3]
     is_inside = bool((normals @ point + offsets).max() <= 0.0)

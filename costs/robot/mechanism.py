@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.primitive import Primitive
 from costs.robot.elements.inertia import LinkInertia
@@ -103,6 +102,8 @@ class Mechanism:
 
     def locate(self, link: str, values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "4 4"]:
         """Return the pose of a link in the world, with the joints at ``values`` [rad, m]."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         by_link = {joint.link: column for column, joint in enumerate(self.joints)}
         pose, above = np.eye(4), link
         while True:

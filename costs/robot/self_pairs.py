@@ -9,7 +9,6 @@ import coal
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Bool, Float
-from scipy.spatial import ConvexHull
 
 from costs.robot.model import LinkBody
 
@@ -184,6 +183,8 @@ def _overlap(a: coal.Convex, pose_a: coal.Transform3s, b: coal.Convex, pose_b: c
 
 def convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
     """Make coal's hull of ``vertices``, with triangles that face outwards."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     hull = ConvexHull(vertices)
     a, b, c = vertices[hull.simplices].transpose(1, 0, 2)
     # Qhull does not orient its triangles; coal wants them counter-clockwise seen from outside.

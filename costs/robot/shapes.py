@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
 from costs.primitive import Primitive
 
@@ -119,6 +118,8 @@ def _around_unit_sphere(share: float, most: int) -> Float[np.ndarray, "V 3"]:
 @lru_cache
 def _geodesic(edges: int, with_centres: bool) -> Float[np.ndarray, "V 3"]:
     """Make an icosahedron with divided edges and all points on one sphere, scaled to contain a unit sphere."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     golden = 0.5 * (1.0 + np.sqrt(5.0))
     corners = _cyclic([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
     weights = np.array([(i, j, edges - i - j) for i in range(edges + 1) for j in range(edges + 1 - i)]) / edges
@@ -133,6 +134,8 @@ def _geodesic(edges: int, with_centres: bool) -> Float[np.ndarray, "V 3"]:
 @lru_cache
 def _swept_unit_sphere(share: float, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make a unit sphere's polytope; also return which vertices are corners at either end when it is swept along z."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     up = np.array([0.0, 0.0, 1.0])
     polytope = _around_unit_sphere(share, most)
     while True:
@@ -150,4 +153,6 @@ def _cyclic(points: list[tuple[float, float, float]]) -> Float[np.ndarray, "V 3"
 
 def _inradius(points: Float[np.ndarray, "V 3"]) -> float:
     """Return the largest radius of a sphere about the origin inside the hull of ``points``."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     return float(-ConvexHull(points).equations[:, 3].max())

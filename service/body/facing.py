@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
 from costs.rotation import make_tangent_basis
@@ -61,6 +60,8 @@ def _find_first_vertices(robot: RobotModel, name: str) -> tuple[Float[np.ndarray
 
     Of the bodies that a point of the patch touches, the deepest vertices for leans in many directions [m].
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     patch = robot.contacts[name]
     placement = robot.model.frames[robot.model.getFrameId(patch.link)].placement
     rotation, origin = np.array(placement.rotation), np.array(placement.translation)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial.transform import Rotation
 
 from costs.collision import Contacts
 from costs.kinematics import Kinematics, KinematicsEngine, locate_links
@@ -244,6 +243,8 @@ class KeptPose:
 
     def errors(self, pose: Float[np.ndarray, "4 4"]) -> tuple[float, float]:
         """Return distance [m] and angle [rad] of a ``pose_reference_link`` from ``wanted``."""
+        from scipy.spatial.transform import Rotation  # slow to import
+
         angle = Rotation.from_matrix(self.wanted[:3, :3].T @ pose[:3, :3]).magnitude()
         if self.free_axis is not None:
             axes = self.wanted[:3, :3] @ self.free_axis, pose[:3, :3] @ self.free_axis

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, RobotModel, turn_near
 from costs.rotation import quaternion_matrix
@@ -68,6 +67,8 @@ def make_pose_goal(
     free_axis: str = "none",
 ) -> PoseGoalRequest:
     """Return the goal of a frame at a pose."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     w, x, y, z = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
     at = pose[:3, 3].tolist()
     if free_axis == "all":

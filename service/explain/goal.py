@@ -14,7 +14,6 @@ from itertools import combinations
 import coal
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.spatial.transform import Rotation
 
 from costs.kinematics import locate_frame, locate_links
 from costs.robot import BASE_NAMES, LinkBody, RobotModel
@@ -128,6 +127,8 @@ def _find_standing_base(
     body: WholeBody, q: Float[np.ndarray, "n"], given: Bool[np.ndarray, "n"]
 ) -> Float[np.ndarray, "6"] | None:
     """Return the base coordinates that planted links and given leg joints fix; None where they do not."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     robot = body.robot
     if not robot.is_floating:
         return None

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
 from costs.rotation import quaternion_matrix
@@ -245,6 +244,8 @@ def _read_region(data: Mapping[str, Any], s: Float[np.ndarray, "S"]) -> LoadedRe
 
 def write_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:
     """Return a rotation as a quaternion (w, x, y, z) with w >= 0."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     quaternion: list[float] = Rotation.from_matrix(rotation).as_quat(scalar_first=True, canonical=True).tolist()
     return quaternion
 

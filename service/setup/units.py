@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import RobotModel
 from service.errors import RequestError
@@ -145,6 +144,8 @@ def _relative_problems(request: PlanRequest) -> Iterator[str]:
 
 def _extents(obstacles: Sequence[ObstacleRequest]) -> tuple[_Box, ...]:
     """Return the axis-aligned boxes around obstacles; for meshes, which are not read yet, the largest box."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     if not obstacles:
         return ()
     quaternions = np.array([obstacle.quaternion_wxyz for obstacle in obstacles])

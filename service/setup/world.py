@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.primitive import make_round_shape
 from costs.robot import RobotModel, shapes
@@ -341,6 +340,8 @@ def _pose(obstacle: ObstacleRequest | ObjectRequest | CutRequest) -> Float[np.nd
 
 
 def _hull(points: Float[np.ndarray, "V 3"], field: str) -> Float[np.ndarray, "W 3"]:
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.robot import BASE_NAMES, PLANAR_NAMES, WHOLE_TURN, RobotModel, list_circular, read_joint_axis
 from service.errors import RequestError, would_do
@@ -201,6 +200,8 @@ def _posture(robot: RobotModel, start: StartRequest) -> tuple[Float[np.ndarray, 
 
 def _yaw_pitch_roll(quaternion_wxyz: tuple[float, float, float, float]) -> Float[np.ndarray, "3"]:
     """Return the base's intrinsic z-y-x angles, which are not unique at a pitch of 90 degrees."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     rotation = Rotation.from_quat(quaternion_wxyz, scalar_first=True)
     pitch_deg = math.degrees(math.asin(np.clip(-rotation.as_matrix()[2, 0], -1.0, 1.0)))
     if abs(pitch_deg) > LARGEST_PITCH_DEG:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece
@@ -40,6 +39,8 @@ def find_sole(placed: Sequence[Float[np.ndarray, "V 3"]]) -> Float[np.ndarray, "
     It is what lies within 2 mm of the lowest vertex or, where that is little of a larger face that leans up to 20 deg,
     of that face: a foot on a slope stands on all of its sole.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     vertices = np.vstack(placed)
     lowest = _take_band(vertices, np.array([0.0, 0.0, -1.0]))
     try:
@@ -67,6 +68,8 @@ def _take_band(vertices: Float[np.ndarray, "V 3"], outwards: Float[np.ndarray, "
 
 def _measure_area(points: Float[np.ndarray, "C 3"]) -> float:
     """Return the area of the hull of points seen from above [m^2]; 0 for points on a line."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         return float(ConvexHull(points[:, :2]).volume)
     except (QhullError, ValueError):

@@ -8,7 +8,6 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.primitive import find_round_normals, measure_outside_round
 from costs.robot.model import RobotModel
@@ -201,6 +200,8 @@ def find_top(vertices: Float[np.ndarray, "V 3"], places: Float[np.ndarray, "P 2"
 @lru_cache(maxsize=64)
 def _planes(points: bytes) -> Float[np.ndarray, "F 4"]:
     """Return the faces of a hull, outward normals and offsets; none for a flat hull."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         return np.unique(np.round(ConvexHull(np.frombuffer(points).reshape(-1, 3)).equations, 12), axis=0)
     except QhullError:

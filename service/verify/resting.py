@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
@@ -262,6 +261,8 @@ class _PieceFaces:
 
 def _list_faces(solid: CoalSolid) -> Float[np.ndarray, "F 4"]:
     """Return unit normals and offsets of planes with all of a solid on one side: its faces, else those of its box."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         return np.asarray(ConvexHull(solid.vertices).equations)
     except QhullError:

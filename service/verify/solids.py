@@ -10,7 +10,6 @@ from weakref import WeakKeyDictionary
 import coal
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot import LinkBody
 from costs.scene import ConvexPiece
@@ -36,6 +35,8 @@ def make_coal_convex(vertices: Float[np.ndarray, "V 3"]) -> coal.Convex:
 
 @lru_cache(maxsize=_KEPT)
 def _make_convex(points: bytes) -> coal.Convex:
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     vertices = np.frombuffer(points).reshape(-1, 3)
     if len(vertices) <= _SCANNED:
         return _scanned_convex(vertices)
@@ -109,6 +110,8 @@ class CoalSolid:
     @cached_property
     def normals(self) -> Float[np.ndarray, "F 3"]:
         """Outward unit normals of the hull's faces, in the frame of the joint; none for a flat hull."""
+        from scipy.spatial import ConvexHull, QhullError  # slow to import
+
         try:
             return np.unique(np.round(ConvexHull(self.vertices).equations[:, :3], 12), axis=0)
         except QhullError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from service.verify.certificate import Basis, Check
 from service.verify.forces.loaded_balance import check_loaded_balance, find_normals
@@ -87,6 +86,8 @@ def check_support(phase: Phase, support: SupportPolygon) -> Check:
     The hull counts only where all soles are on level ground at one height: elsewhere friction and the direction of each
     force decide, which a region with witnesses proves.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     ground = np.concatenate([contact.points for contact in phase.contacts])
     rise = float(np.ptp(ground[:, 2]))
     lean = float(np.arccos(np.clip(find_normals(phase.contacts)[:, 2], -1.0, 1.0)).max())

@@ -33,7 +33,7 @@ def _checkout(folder: Path) -> Path:
     (folder / "tools").mkdir(parents=True)
     script = (ROOT / "tools" / "setup.sh").read_text()
     # The real Python of this machine must not be found.
-    (folder / "tools" / "setup.sh").write_text(script.replace('"/usr/bin/$name"', ""))
+    (folder / "tools" / "setup.sh").write_text(script.replace("/usr/bin/", f"{folder}/distribution/"))
     return folder
 
 
@@ -68,6 +68,14 @@ def test_a_python_that_does_not_run_is_passed_over(tmp_path: Path) -> None:
     done = _setup(_checkout(tmp_path / "checkout"), path)
     assert done.returncode == 7  # it went on to make the environment with python3.12
     assert "python3.12 -m venv .venv" in log.read_text()
+
+
+def test_the_distributions_python_comes_before_those_of_the_path(tmp_path: Path) -> None:
+    works = "[[ $1 == -c ]] && exit 0; exit {}"
+    path = _machine(tmp_path / "bin", ldconfig=ALL_LIBRARIES, **{"python3.11": works.format(7)})
+    checkout = _checkout(tmp_path / "checkout")
+    _machine(checkout / "distribution", **{"python3.12": works.format(8)})
+    assert _setup(checkout, path).returncode == 8
 
 
 @pytest.mark.parametrize(("version", "fits"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull
 
 from costs.robot.atlas.body_shapes import foot, link_shapes
 from costs.robot.atlas.figures import FIXED_JOINTS, JOINTS, LINKS, MASSLESS_LINKS, SOLES
@@ -69,6 +68,8 @@ def format_urdf(tool_distance_m: float = DEFAULT_TOOL_DISTANCE, hand: HandKind =
 
 def mesh_points() -> Mapping[str, Float[np.ndarray, "V 3"]]:
     """Return vertices by mesh name, ``link_0``, ``link_1``, ..., rounded to a hundredth of a millimetre."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     shapes = {link: tuple(bodies) for link, bodies in link_shapes().items()}
     shapes.update({link: (foot(np.array(sole)),) for link, sole in SOLES.items()})
     return {f"{link}_{index}": np.round(points[np.sort(ConvexHull(points).vertices)], 5) + 0.0

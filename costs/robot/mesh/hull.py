@@ -13,7 +13,6 @@ import highspy
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array, csc_array
-from scipy.spatial import ConvexHull, QhullError
 
 from costs.robot.errors import RobotError
 
@@ -59,6 +58,8 @@ def find_hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np
     Raises:
         RobotError: the points lie in a plane, or nearly at one place.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     extent = float(np.ptp(points, axis=0).max())
     if extent < LEAST_EXTENT_M:
         raise RobotError(f"{where}: all its points are within {extent:.3g} m; a body needs a size")
@@ -71,6 +72,8 @@ def find_hull_vertices(points: Float[np.ndarray, "V 3"], where: str) -> Float[np
 
 def has_crowded_vertex(vertices: Float[np.ndarray, "V 3"]) -> bool:
     """Return whether a vertex of the hull's triangles has more neighbours than coal keeps."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     if len(vertices) <= MOST_NEIGHBOURS:
         return False
     return bool(np.bincount(ConvexHull(vertices).simplices.ravel()).max() > MOST_NEIGHBOURS)
@@ -90,6 +93,8 @@ def make_outer_hull(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 
 @lru_cache(maxsize=256)
 def _reduce(corners: bytes) -> Float[np.ndarray, "W 3"]:
     """Make the outer hull of (V, 3) corners given as bytes; cached, since the same robot is loaded many times."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     vertices = np.frombuffer(corners).reshape(-1, 3)
     target = min(_TARGET_EXCESS, _RELATIVE_TARGET * float(np.ptp(vertices, axis=0).max()))
     planes = ConvexHull(vertices).equations
@@ -114,6 +119,8 @@ def _reduce(corners: bytes) -> Float[np.ndarray, "W 3"]:
 
 def _choose_inner_points(vertices: Float[np.ndarray, "V 3"], target: float) -> Float[np.ndarray, "W 3"]:
     """Choose vertices one by one, each the farthest from the hull of those before."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     chosen = _choose_tetrahedron(vertices)
     while True:
         equations = ConvexHull(vertices[chosen]).equations
@@ -206,6 +213,8 @@ def _make_face_rows(
     points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]
 ) -> tuple[Int[np.ndarray, "k"], Int[np.ndarray, "k"], Float[np.ndarray, "k"], Float[np.ndarray, "m"]]:
     """Make rows, columns, values and right-hand sides that keep the highest vertices below every face."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     hull = ConvexHull(points)
     normals = hull.equations[:, :3]
     height = normals @ vertices.T + hull.equations[:, 3:]
@@ -237,6 +246,8 @@ def _compute_barycentric(
 
 def _scale_around(points: Float[np.ndarray, "W 3"], vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "W 3"]:
     """Scale the points' hull about its centre by the least factor with which it contains all vertices."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     centre = points.mean(axis=0)
     equations = ConvexHull(points).equations
     offset = -(equations[:, 3] + equations[:, :3] @ centre)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from lxml import etree
-from scipy.spatial import ConvexHull
 
 from costs.names import would_do
 from costs.robot.errors import RobotError
@@ -63,6 +62,8 @@ class LinkSplit:
 
     def _replace(self, collision: etree._Element, name: str, roots: Sequence[Path], where: str) -> int:
         """Replace a collision element by one for each convex part of its mesh; return how many."""
+        from scipy.spatial import ConvexHull  # slow to import
+
         element = collision.find("geometry/mesh")
         parent = collision.getparent()
         if element is None or parent is None:

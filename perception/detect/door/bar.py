@@ -109,7 +109,7 @@ def _reach(
     """Return (K,) distance of each ray outside a capsule's surface, and (K,) length of the ray to it [m]."""
     way = last - first
     to_first = first - rays.start
-    along_ray = (rays.direction * to_first).sum(axis=1)
+    along_ray = np.einsum("ki,ki->k", rays.direction, to_first)  # a sum over rows of three takes twice as long
     slope = rays.direction @ way
     square = float(way @ way)
     # Closest points of ray and segment (Ericson, Real-Time Collision Detection, 2005, section 5.1.9).
@@ -117,7 +117,7 @@ def _reach(
     share = np.clip((slope * along_ray - to_first @ way) / below, 0.0, 1.0)
     length = along_ray + share * slope
     gap = to_first + share[:, None] * way - length[:, None] * rays.direction
-    apart = np.sqrt((gap**2).sum(axis=1))
+    apart = np.sqrt(np.einsum("ki,ki->k", gap, gap))
     steep = np.sqrt(np.clip(1.0 - slope**2 / max(square, 1e-12), 0.05, 1.0))
     depth = np.sqrt(np.maximum(radius**2 - np.minimum(apart, radius) ** 2, 0.0)) / steep
     return apart - radius, length - depth

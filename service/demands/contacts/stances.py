@@ -13,7 +13,6 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from costs.allowance import Allowance, BodyRef
 from costs.contact import Contact
@@ -221,6 +220,8 @@ def find_link_pose(
         yaw_rad: turn about the surface's normal of the link's x axis; 0 is along the world's x axis, or along its z
             axis on a wall.
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     inwards = -patch.normals.mean(axis=0)
     inwards /= np.linalg.norm(inwards)
     ahead = np.array([1.0, 0.0, 0.0])

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation, Slerp
 
 from costs.collision import Contacts
 from costs.kinematics import locate_links
@@ -146,6 +145,8 @@ def _make_link_holds(
     body: WholeBody, pose: PoseGoalRequest, first: Float[np.ndarray, "4 4"], share: float
 ) -> tuple[Hold, ...]:
     """Return holds of a link's position, and of its orientation as far as its goal gives it; or of its region."""
+    from scipy.spatial.transform import Rotation, Slerp  # slow to import
+
     if not pose.is_plain:
         at_first = MotionState(body.engine(body.nominal[None]), Contacts.none())
         return lead_into(body.robot, make_goal_region(pose), at_first, share)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 # Forces may be off by this share of the weight, moments by the same share times 1 m.
 TOLERANCE = 1e-6
@@ -180,6 +179,8 @@ def list_turned_loads(
     Raises:
         ValueError: a value is not finite, or the axis is not of unit length.
     """
+    from scipy.spatial.transform import Rotation  # slow to import
+
     _check_unit(axis)
     if not (np.isfinite([first_rad, last_rad]).all() and all(np.isfinite(v).all() for v in (force, point, origin))):
         raise ValueError("force, point, origin and both angles of a load must be finite")

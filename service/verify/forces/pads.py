@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError
 
 PATCH_DEPTH_M = 5e-4  # by which pad and body give way: what is no farther from the foremost points touches
 _LEAST_AREA = 1e-7  # of a patch; a smaller one is a point [m2]
@@ -82,6 +81,8 @@ def _split(
 
 def _list_corners(points: Float[np.ndarray, "N 2"]) -> Float[np.ndarray, "P 2"]:
     """Return the corners of points' hull, counter-clockwise; none of a line or a point."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     if len(points) < 3:
         return np.zeros((0, 2))
     try:

@@ -8,7 +8,6 @@ from weakref import WeakKeyDictionary
 import coal
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from costs.robot import LinkBody
 from service.verify.solids import make_coal_convex
@@ -99,6 +98,8 @@ def _round_body(body: LinkBody) -> RoundedBody:
 
 
 def _list_planes(points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         return np.asarray(ConvexHull(points).equations)
     except QhullError:  # flat: it has no inside
@@ -107,6 +108,8 @@ def _list_planes(points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 4"]:
 
 def shrink_hull(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], float]:
     """Return the points of a hull whose faces are moved inwards, and by how much [m]; a flat hull stays as it is."""
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError  # slow to import
+
     try:
         planes = ConvexHull(vertices).equations
     except QhullError:
@@ -149,6 +152,8 @@ def list_round_contact(
 
 def measure_beyond_hull(points: Float[np.ndarray, "K 3"], vertices: Float[np.ndarray, "V 3"]) -> float:
     """Return how far the outermost of some points is beyond the faces of a hull; negative inside [m]."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         planes = ConvexHull(vertices).equations
     except QhullError:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from service.verify.motion import PoseTarget
 
@@ -70,6 +69,8 @@ def measure_angle(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S"
 
 def measure_rotation_vector(rotation: Float[np.ndarray, "S 3 3"]) -> Float[np.ndarray, "S 3"]:
     """Return the rotation vectors of rotations, at most pi long [rad]."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 

@@ -11,5 +11,6 @@ VERSIONS = Path(__file__).parents[2] / "data" / "versions"
 def unpack(release: str, name: str, folder: Path) -> Path:
     """Unpack ``name`` (``reach``, ``store``, ...) of a release into a new folder, which is returned."""
     with tarfile.open(VERSIONS / release / f"{name}.tar.xz") as archive:
-        archive.extractall(folder, filter="data")
+        # Python 3.11.4 brought filters, which later versions ask for.
+        archive.extractall(folder, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
     return folder
