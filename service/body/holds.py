@@ -50,8 +50,9 @@ def linearize_holds(
         k = len(rows.value) // len(q)
         values.append(rows.value.reshape(len(q), k))
         # A row touches the columns of its own configuration only.
-        entries, own = rows.jacobian, np.zeros((len(rows.value), n))
-        np.add.at(own, (np.repeat(np.arange(len(own)), np.diff(entries.indptr)), entries.indices % n), entries.data)
+        entries = rows.jacobian
+        at = n * np.repeat(np.arange(len(rows.value)), np.diff(entries.indptr)) + entries.indices % n
+        own = np.bincount(at, entries.data, minlength=len(rows.value) * n)
         jacobians.append(own.reshape(len(q), k, n))
     return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
 

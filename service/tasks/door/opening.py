@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
+from service.body.effort import Effort
 from service.body.phases import PhaseSolver
 from service.body.poses import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
@@ -343,7 +344,7 @@ class DoorOpening:
         sequence = self._sequence(choice)
         spec = next(spec for spec in reversed(sequence.specs) if LEAF in spec.moving)
         with self.solver.monitor.step(HOW_FAR, 0.05):
-            return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
+            return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses, effort=Effort.ANY_POSE)
 
     def _sequence(self, choice: DoorChoice) -> PhaseSequence:
         specs = make_door_phases(self.door, choice)
