@@ -72,7 +72,7 @@ class LinearProgram:
                 x = np.maximum(np.array(solver.getSolution().col_value), 0.0)
                 made = self._rows @ x
                 if max(float((low - made).max(initial=0.0)), float((made - high).max(initial=0.0))) <= allowed:
-                    return x
+                    return np.asarray(x)
             if status == highspy.HighsModelStatus.kInfeasible:
                 return None
             solver.clearSolver()  # a start from the last basis may be at fault
