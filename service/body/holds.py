@@ -40,13 +40,24 @@ def linearize_holds(
     engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
     """Return residuals and Jacobians of all holds at separate configurations."""
+    return linearize_residuals(engine, q, make_residuals(holds, len(q)))
+
+
+def make_residuals(holds: Sequence[Hold], count: int) -> tuple[Residual[MotionState], ...]:
+    """Return the residuals of all holds at as many configurations, which serve every step of a search."""
+    return tuple(hold(np.arange(count)) for hold in holds)
+
+
+def linearize_residuals(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], residuals: Sequence[Residual[MotionState]]
+) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
+    """Return residuals and Jacobians at separate configurations, for which the residuals were made."""
     poll()
     state = MotionState(engine(q), Contacts.none())
-    everywhere = np.arange(len(q))
     n = q.shape[1]
     values, jacobians = [], []
-    for hold in holds:
-        rows = hold(everywhere).linearize(state)
+    for residual in residuals:
+        rows = residual.linearize(state)
         k = len(rows.value) // len(q)
         values.append(rows.value.reshape(len(q), k))
         # A row touches the columns of its own configuration only.
@@ -71,8 +82,9 @@ def project_onto_holds(
     if not holds or not len(q):
         return q
     prescribed = find_prescribed(engine.robot) if fixed is None else fixed
+    residuals = make_residuals(holds, len(q))
     for _ in range(PROJECTION_STEPS):
-        value, jacobian = linearize_holds(engine, q, holds)
+        value, jacobian = linearize_residuals(engine, q, residuals)
         if np.abs(value).max() < PROJECTION_TOLERANCE:
             break
         q = q - least_norm_step(np.where(prescribed, 0.0, jacobian), value)
@@ -99,8 +111,9 @@ def project_within_limits(
     fixed = find_prescribed(engine.robot) if fixed is None else fixed
     lower, upper = np.where(fixed, -np.inf, lower), np.where(fixed, np.inf, upper)
     is_still = np.tile(fixed, (len(q), 1))
+    residuals = make_residuals(holds, len(q))
     for _ in range(PROJECTION_STEPS):
-        value, jacobian = linearize_holds(engine, q, holds)
+        value, jacobian = linearize_residuals(engine, q, residuals)
         if np.abs(value).max() < CLOSE:
             break
         step = least_norm_step(np.where(is_still[:, None, :], 0.0, jacobian), value)
