@@ -27,7 +27,7 @@ from service.verify.timeline import find_times
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
 _MOMENT_ARM_M = 0.1
-_MOST_KEPT = 20_000  # samples whose inverse dynamics are kept, some 2 kB each
+_MOST_KEPT = 8_000  # samples whose inverse dynamics are kept, some 2 kB each
 
 
 @dataclass(frozen=True)
