@@ -22,6 +22,7 @@ class Effort(Enum):
     POSE = "a pose, which takes some ten steps where it is reachable"
     GOAL_POSE = "a pose at a goal, which other seeds may find"
     QUICK_POSE = "whether a pose exists"
+    ANY_POSE = "whether a pose exists, whatever it is like"
     FORCES = "a pose with the forces that hold it"
 
     def apply(self, settings: Settings) -> Settings:
@@ -45,6 +46,8 @@ _CHANGES: Mapping[Effort, Mapping[str, Any]] = {
         "max_iterations": 40, "max_penalty_raises": 3, "patience": 12, "min_improvement_feasible": 0.3,
     },
     Effort.QUICK_POSE: {"max_iterations": 20, "max_penalty_raises": 2},
+    # Its first feasible iterate ends it, and steps without progress say that there is none.
+    Effort.ANY_POSE: {"max_iterations": 20, "max_penalty_raises": 2, "min_improvement_feasible": 1.0},
     Effort.FORCES: {"max_iterations": 80, "max_penalty_raises": 3, "patience": 25},
 }  # fmt: skip
 

@@ -39,18 +39,30 @@ def linearize_holds(
     engine: KinematicsEngine, q: Float[np.ndarray, "S n"], holds: Sequence[Hold]
 ) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
     """Return residuals and Jacobians of all holds at separate configurations."""
+    return linearize_residuals(engine, q, make_residuals(holds, len(q)))
+
+
+def make_residuals(holds: Sequence[Hold], count: int) -> tuple[Residual[MotionState], ...]:
+    """Return the residuals of all holds at as many configurations, which serve every step of a search."""
+    return tuple(hold(np.arange(count)) for hold in holds)
+
+
+def linearize_residuals(
+    engine: KinematicsEngine, q: Float[np.ndarray, "S n"], residuals: Sequence[Residual[MotionState]]
+) -> tuple[Float[np.ndarray, "S k"], Float[np.ndarray, "S k n"]]:
+    """Return residuals and Jacobians at separate configurations, for which the residuals were made."""
     poll()
     state = MotionState(engine(q), Contacts.none())
-    everywhere = np.arange(len(q))
     n = q.shape[1]
     values, jacobians = [], []
-    for hold in holds:
-        rows = hold(everywhere).linearize(state)
+    for residual in residuals:
+        rows = residual.linearize(state)
         k = len(rows.value) // len(q)
         values.append(rows.value.reshape(len(q), k))
         # A row touches the columns of its own configuration only.
-        entries, own = rows.jacobian, np.zeros((len(rows.value), n))
-        np.add.at(own, (np.repeat(np.arange(len(own)), np.diff(entries.indptr)), entries.indices % n), entries.data)
+        entries = rows.jacobian
+        at = n * np.repeat(np.arange(len(rows.value)), np.diff(entries.indptr)) + entries.indices % n
+        own = np.bincount(at, entries.data, minlength=len(rows.value) * n)
         jacobians.append(own.reshape(len(q), k, n))
     return np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
 
@@ -69,8 +81,9 @@ def project_onto_holds(
     if not holds or not len(q):
         return q
     prescribed = find_prescribed(engine.robot) if fixed is None else fixed
+    residuals = make_residuals(holds, len(q))
     for _ in range(PROJECTION_STEPS):
-        value, jacobian = linearize_holds(engine, q, holds)
+        value, jacobian = linearize_residuals(engine, q, residuals)
         if np.abs(value).max() < PROJECTION_TOLERANCE:
             break
         q = q - least_norm_step(np.where(prescribed, 0.0, jacobian), value)
@@ -97,8 +110,9 @@ def project_within_limits(
     fixed = find_prescribed(engine.robot) if fixed is None else fixed
     lower, upper = np.where(fixed, -np.inf, lower), np.where(fixed, np.inf, upper)
     is_still = np.tile(fixed, (len(q), 1))
+    residuals = make_residuals(holds, len(q))
     for _ in range(PROJECTION_STEPS):
-        value, jacobian = linearize_holds(engine, q, holds)
+        value, jacobian = linearize_residuals(engine, q, residuals)
         if np.abs(value).max() < CLOSE:
             break
         step = least_norm_step(np.where(is_still[:, None, :], 0.0, jacobian), value)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from costs.robot import BASE_NAMES
-from service.body.holds import Hold, linearize_holds
+from service.body.holds import Hold, linearize_residuals, make_residuals
 from service.body.whole_body import WholeBody
 
 STEPS = 40
@@ -56,13 +56,16 @@ def solve_holds(
     error = np.full(len(q), np.inf)
     is_held = np.zeros(q.shape, dtype=bool)
     active = np.arange(len(q))
+    residuals = make_residuals(holds, len(active))
     for _ in range(steps + 1):
-        value, jacobian = linearize_holds(body.engine, q[active], holds)
+        value, jacobian = linearize_residuals(body.engine, q[active], residuals)
         error[active] = np.abs(value).max(axis=1)
         is_open = error[active] > 0.1 * REACHED
         active, value, jacobian = active[is_open], value[is_open], jacobian[is_open]
         if not len(active):
             break
+        if not is_open.all():
+            residuals = make_residuals(holds, len(active))
         moving = np.where((fixed | is_held[active])[:, None, :], 0.0, jacobian)
         squared = moving @ np.swapaxes(moving, 1, 2)
         # Less damping where little is left, so that the last steps are Newton's.

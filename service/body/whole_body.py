@@ -61,6 +61,11 @@ BASE_MOBILITY = 0.01  # of the base when a step is corrected: legs and arms move
 BASE_STEP = np.array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])  # the base carries every link: smaller trust box
 
 
+MOST_CHECKERS = 8  # that a body keeps: the phases of a hold ask for the same few
+_Asked = tuple[tuple[Allowance, ...], tuple[tuple[BodyRef, BodyRef, float], ...]]
+"""Pairs that may touch, and pairs with a margin of their own."""
+
+
 @dataclass(frozen=True)
 class WholeBody:
     """A robot on its planted links in a scene.
@@ -163,16 +168,25 @@ class WholeBody:
         The required clearance of a pair is at most its distance at a configuration that cannot move; otherwise no
         trajectory through it would be feasible.
         """
-        is_plain = not allowances and not overrides
-        checker = self._plain_checker if is_plain else self._make_checker(allowances, overrides)
+        asked = (tuple(allowances), tuple(overrides))
+        if asked not in self._checkers:
+            if len(self._checkers) == MOST_CHECKERS:
+                del self._checkers[next(iter(self._checkers))]
+            self._checkers[asked] = self._make_checker(*asked)
+        checker = self._checkers[asked]
         # A pair that may touch is not allowed more than its depth because it has it at an end.
         touching = -TOUCHING_SHARE * CLEARANCE_TOLERANCE
         return self._fit_margins(checker, ends, CLEARANCE_TOLERANCE, touching, CLEARANCE_TOLERANCE + LEAST_APART)
 
     @cached_property
+    def _checkers(self) -> dict[_Asked, SweptCollisionChecker]:
+        """Checkers without regard to ends, by what is asked; most share the work space of the plain one."""
+        return {}
+
+    @property
     def _plain_checker(self) -> SweptCollisionChecker:
-        """Checker without regard to a task or to ends; most others share its work space."""
-        return self._make_checker((), ())
+        """Checker without regard to a task or to ends."""
+        return self.make_checker()
 
     @cached_property
     def _padded(self) -> tuple[tuple[BodyRef, BodyRef, float], ...]:

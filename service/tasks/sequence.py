@@ -109,7 +109,14 @@ class PhaseSequence:
         specs = zip(self.specs, paths, strict=True)
         return tuple(compiler.promise(spec, q, q[:, compiler.columns]) for spec, q in specs)
 
-    def try_pose(self, step: str, spec: TaskPhase, guesses: Sequence[Seed] = (), n_random: int = 0) -> Solved:
+    def try_pose(
+        self,
+        step: str,
+        spec: TaskPhase,
+        guesses: Sequence[Seed] = (),
+        n_random: int = 0,
+        effort: Effort = Effort.QUICK_POSE,
+    ) -> Solved:
         """Try with little effort whether a phase's first pose exists, whatever comes before it.
 
         Args:
@@ -117,10 +124,11 @@ class PhaseSequence:
             spec: the phase.
             guesses: seeds before the robot's postures.
             n_random: random configurations after them.
+            effort: of the optimiser.
         """
         compiler, body = self._compiler, self.solver.body
-        light = compiler.with_hints(torque_share=None).pose_problem(step, spec, Effort.QUICK_POSE)
-        strong = compiler.pose_problem(step, spec, Effort.QUICK_POSE)
+        light = compiler.with_hints(torque_share=None).pose_problem(step, spec, effort)
+        strong = compiler.pose_problem(step, spec, effort)
 
         def solve(seed: Float[np.ndarray, "n"]) -> Solved:
             solved = light.solve(seed)

@@ -100,6 +100,7 @@ from service.verify.forces.hand_loads import (
     list_offsets,
     measure_retreat,
 )
+from service.verify.forces.linear_program import LinearProgram
 from service.verify.forces.load_limits import (
     LoadLimits,
     find_loaded_hand,
@@ -254,6 +255,7 @@ __all__ = [
     "JointTarget",
     "JointWayTarget",
     "Joints",
+    "LinearProgram",
     "LoadCase",
     "LoadLimits",
     "LoadedRegion",

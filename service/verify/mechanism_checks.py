@@ -8,7 +8,7 @@ from itertools import pairwise
 from math import comb
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from costs.robot.mechanism import Release
 from service.verify.certificate import Basis, Check, Where
@@ -117,15 +117,22 @@ class _Track:
         """
         at_start = float(self.joint[0, 0])
         shut, free = RELEASE_TOLERANCE + _ROUNDING, release.free_beyond
-        borders = [-free, -shut, shut, free, at_start - shut, at_start + shut]
+        borders = np.array([-free, -shut, shut, free, at_start - shut, at_start + shut])
         worst = (0.0, float(self.first[0]), at_start)
         is_free = False
+        bends = self._list_bends(borders)
+        middles = _evaluate(self.joint, 0.5 * self.length).tolist()
         for row in range(len(self.first)):
             joint, latch = self.joint[:, row], self.latch[:, row]
+            length, middle = float(self.length[row]), abs(middles[row])
+            crosses, turns = bends[row, :-1], bool(bends[row, -1])
+            if not crosses.any() and (middle <= shut or middle >= free or is_free):
+                is_free = middle > shut and (is_free or middle >= free)  # as the joint is throughout the interval
+                continue
             slope = np.array([latch[1], 2.0 * latch[2], 3.0 * latch[3]])
-            length = float(self.length[row])
-            cuts = [_find_roots(joint - np.array([border, 0.0, 0.0, 0.0]), length) for border in borders]
-            places = np.unique(np.concatenate([[0.0, length], *cuts, _find_roots(slope, length)]))
+            cuts = [_find_roots(joint - np.array([at, 0.0, 0.0, 0.0]), length) for at in borders[crosses]]
+            cuts += [_find_roots(slope, length)] if turns else []
+            places = np.unique(np.concatenate([[0.0, length], *cuts]))
             for a, b in pairwise(places.tolist()):
                 if b - a <= _ROOT_MERGE * length:
                     continue
@@ -141,6 +148,15 @@ class _Track:
                     if short > worst[0]:
                         worst = short, float(self.first[row]) + at, float(_evaluate(joint, np.array([at]))[0])
         return worst
+
+    def _list_bends(self, borders: Float[np.ndarray, "B"]) -> Bool[np.ndarray, "I C"]:
+        """Return for each interval where the joint may cross each border, and last where the latch may turn round."""
+        powers = self.length ** np.arange(4)[:, None]
+        joint = self.joint * powers
+        shifted = np.repeat(joint[:, :, None], len(borders), axis=2)
+        shifted[0] -= borders
+        slope = self.latch[1:] * np.arange(1.0, 4.0)[:, None] * powers[:3]
+        return np.concatenate([_may_vanish(shifted), _may_vanish(slope[:, :, None])], axis=1)
 
 
 def _columns(motion: Motion, release: Release) -> tuple[int, int]:
@@ -159,13 +175,18 @@ def _find_roots(c: Float[np.ndarray, "k"], length: float) -> Float[np.ndarray, "
     part, where a needless cut does no harm.
     """
     scaled = c * length ** np.arange(len(c))
+    if not _may_vanish(scaled):
+        return np.zeros(0)
     largest = np.abs(scaled).max()
-    if not largest > 0.0:
-        return np.zeros(0)
-    bounds = _BERNSTEIN[len(c)] @ scaled  # the polynomial lies between the least and the largest of them
-    if bounds.min() > _SURE * largest or bounds.max() < -_SURE * largest:
-        return np.zeros(0)
     scaled = np.where(np.abs(scaled) > 1e-14 * largest, scaled, 0.0)
     roots = np.roots(scaled[::-1])
     real = roots.real[np.abs(roots.imag) <= 1e-6]
     return np.asarray(length * real[(real > 0.0) & (real < 1.0)])
+
+
+def _may_vanish(scaled: Float[np.ndarray, "k ..."]) -> Bool[np.ndarray, "..."]:
+    """Return whether polynomials over [0, 1] (constant first) may have a root that is not everywhere."""
+    largest = np.abs(scaled).max(axis=0)
+    bounds = np.tensordot(_BERNSTEIN[len(scaled)], scaled, axes=1)  # the polynomial lies between least and largest
+    is_apart = (bounds.min(axis=0) > _SURE * largest) | (bounds.max(axis=0) < -_SURE * largest)
+    return np.asarray((largest > 0.0) & ~is_apart)

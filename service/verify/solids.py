@@ -207,9 +207,17 @@ class DistanceQuery:
         length[~((length > 0.5) & (length < 2.0))] = np.nan
         return distance, direction / length[:, None]
 
-    def measure(self, first: coal.Convex, second: coal.Convex) -> float:
-        """Return the signed distance of two bodies in one frame [m]."""
-        return float(self.closest([first], np.eye(3)[None], np.zeros((1, 3)), [second])[0][0])
+    def measure(
+        self,
+        first: coal.Convex,
+        second: coal.Convex,
+        rotation: Float[np.ndarray, "3 3"] | None = None,
+        translation: Float[np.ndarray, "3"] | None = None,
+    ) -> float:
+        """Return the signed distance of two bodies in one frame, the first turned and moved there [m]."""
+        turned = np.eye(3) if rotation is None else rotation
+        moved = np.zeros(3) if translation is None else translation
+        return float(self.closest([first], turned[None], moved[None], [second])[0][0])
 
     def nearest_point(
         self,

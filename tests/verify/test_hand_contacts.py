@@ -19,8 +19,10 @@ from service.verify.forces.hand_balance import (
     HELD_SHARE,
     TOUCH_GAP_M,
     Meeting,
+    _find_last,
     find_jamming_angle,
     measure_excess,
+    measure_excesses,
     meet,
 )
 from service.verify.forces.hand_contacts import describe_failure, describe_push
@@ -185,6 +187,28 @@ def test_two_contacts_that_lean_to_one_side_push_along_the_way_by_friction_alone
 
 
 # --- cores and bounds ---------------------------------------------------------------------------------------
+
+
+@given(count=st.integers(1, 130), last=st.integers(-1, 129), near=st.one_of(st.none(), st.integers(-1, 129)))
+def test_a_search_from_a_guess_finds_what_a_search_of_all_numbers_does(count: int, last: int, near: int | None) -> None:
+    last, near = min(last, count - 1), None if near is None else min(near, count - 1)
+    assert _find_last(lambda at: at <= last, count, near) == last
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_poses_that_are_measured_together_have_the_excess_that_each_has_alone(seed: int) -> None:
+    """Two pads and a joint that stays; some poses touch with both, some with one, some with none."""
+    rng = np.random.default_rng(seed)
+    push = make_push(make_rod(), replace(make_rod(), surface="pad", cap_n=90.0), held=(HeldJoint("other", -2.0, 2.0),))
+
+    def draw() -> Meeting:
+        meeting = make_meeting(OUT + 0.6 * rng.normal(size=3), held=(0.3 * rng.normal(size=3),))
+        return replace(meeting, gap=float(rng.choice([0.0, 0.0, 2.0 * TOUCH_GAP_M])))
+
+    poses = [(draw(), draw()) for _ in range(12)]
+    alone = [measure_excess(push, met) for met in poses]
+    np.testing.assert_allclose(measure_excesses(push, poses), alone, atol=1e-12)
 
 
 @given(st.integers(0, 10_000))

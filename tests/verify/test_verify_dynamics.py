@@ -101,7 +101,7 @@ def test_samples_lie_on_both_sides_of_every_jump(atlas: RobotModel) -> None:
     assert np.sum(np.abs(times - 1.0) < 2e-7) == 2
 
 
-def test_forces_of_the_last_states_are_kept_and_those_of_others_are_not(atlas: RobotModel) -> None:
+def test_forces_of_the_latest_states_are_kept_and_those_of_others_are_not(atlas: RobotModel) -> None:
     motion, rng = _squat(atlas, FEET), np.random.default_rng(3)
     q = np.tile(atlas.postures["stand"], (2, 1))
     v, a = rng.normal(size=(2, *q.shape))
@@ -109,9 +109,11 @@ def test_forces_of_the_last_states_are_kept_and_those_of_others_are_not(atlas: R
     assert compute_inverse_dynamics(motion, q.copy(), v.copy(), a.copy()) is first
     assert not first.torque.flags.writeable
     assert len(compute_inverse_dynamics(motion, q, v, a, has_jacobians=False).jacobians) == 0
+    before = a.copy()
     a[1, 10] += 1e-9  # changed in place, as a caller might
     other = compute_inverse_dynamics(motion, q, v, a)
     data = atlas.model.createData()
     np.testing.assert_allclose(other.torque[1], pin.rnea(atlas.model, data, q[1], v[1], a[1]), rtol=1e-12)
+    assert compute_inverse_dynamics(motion, q, v, before) is first, "the phases of a motion are timed in turn"
     another = replace(motion, robot=replace(atlas, model=atlas.model.copy()))
     assert compute_inverse_dynamics(another, q, v, a) is not other

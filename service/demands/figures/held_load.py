@@ -7,7 +7,16 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from costs.contact import GRAVITY, WorldContacts
-from service.verify import Ground, Motion, Phase, compute_forces, find_times, list_load_cases, split_motion
+from service.verify import (
+    Ground,
+    LinearProgram,
+    Motion,
+    Phase,
+    compute_forces,
+    find_times,
+    list_load_cases,
+    split_motion,
+)
 
 N_SAMPLES = 9  # per phase
 MOST = 20.0  # times the stated load
@@ -41,26 +50,28 @@ def _find_share(motion: Motion, phase: Phase) -> float:
     if phase.support is not None and phase.contacts:
         q = motion.curve(s)
         wrenches = list_load_cases(motion.robot, q, phase.loads)[-1].wrench
-        share = min([share, *(_find_held(motion, phase, row, w) for row, w in zip(q, wrenches, strict=True))])
+        share = min(share, float(_find_held(motion, phase, q, wrenches).min()))
     return share
 
 
-def _find_held(motion: Motion, phase: Phase, q: Float[np.ndarray, "n"], wrench: Float[np.ndarray, "6"]) -> float:
-    """Return the largest multiple of a wrench that the ground's forces balance together with the weight."""
-    from scipy.optimize import linprog  # slow to import, and rarely needed
-
+def _find_held(
+    motion: Motion, phase: Phase, q: Float[np.ndarray, "S n"], wrenches: Float[np.ndarray, "S 6"]
+) -> Float[np.ndarray, "S"]:
+    """Return the largest multiples of wrenches that the ground's forces balance together with the weight."""
     model = motion.robot.model
+    data = model.createData()
     ground = WorldContacts(*Ground.under(phase.contacts))
-    columns = [
-        np.concatenate([edge, np.cross(at, edge)])
-        for at, fan in zip(ground.points, ground.list_pyramid_edges(), strict=True)
-        for edge in fan
-    ]
+    fans = np.asarray(ground.list_pyramid_edges())
+    arms = np.cross(ground.points[:, None], fans)
+    edges = np.concatenate([fans, arms], axis=2).reshape(-1, 6).T
     weight = np.array([0.0, 0.0, -GRAVITY * float(pin.computeTotalMass(model))])
-    com = pin.centerOfMass(model, model.createData(), q)
-    rest = np.concatenate([weight, np.cross(com, weight)])
-    balance = np.column_stack([*columns, wrench])
-    cost = np.append(np.zeros(len(columns)), -1.0)
-    bounds = [(0.0, None)] * len(columns) + [(0.0, MOST)]
-    solved = linprog(cost, A_eq=balance, b_eq=-rest, bounds=bounds, method="highs")
-    return 0.0 if solved.x is None else float(solved.x[-1])
+    cost = np.append(np.zeros(edges.shape[1]), -1.0)
+    most = np.append(np.full(edges.shape[1], np.inf), MOST)
+    program = LinearProgram(cost, np.column_stack([edges, wrenches[0]]), most)
+    shares = np.zeros(len(q))
+    for k, wrench in enumerate(wrenches):
+        program.change_column(edges.shape[1], wrench)
+        com = np.array(pin.centerOfMass(model, data, q[k]))
+        solved = program.solve(-np.concatenate([weight, np.cross(com, weight)]))
+        shares[k] = 0.0 if solved is None else solved[-1]
+    return shares

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from costs.static_region import StaticRegionError
+from service.body.effort import Effort
 from service.body.phases import PhaseSolver
 from service.body.poses import Seed
 from service.body.task_plan import PlannedPhase, Solved, Stuck, TaskPlan
@@ -20,6 +21,7 @@ from service.demands.door.phases import GRIP_FROM_END, LEAST_GRIP, DoorChoice, P
 from service.demands.figures.travel import measure_door
 from service.demands.hands import Hand
 from service.demands.holds.leaving import LET_GO
+from service.demands.phase import TaskPhase
 from service.tasks.door.hints import LEAF
 from service.tasks.door.places import find_narrow_gap, list_push_places
 from service.tasks.hints import Hints
@@ -258,7 +260,7 @@ class DoorOpening:
         result: tuple[tuple[PlannedPhase, ...], Stuck | None] = ((), None)
         for tried, angle in enumerate(angles[farthest:], start=1):
             stays = choice.stays and angle >= self.target - 1e-6  # else the leaf is pushed from elsewhere afterwards
-            sequence = self._sequence(replace(choice, first=angle, push=None, stays=stays))
+            sequence = self._sequence(make_door_phases(self.door, replace(choice, first=angle, push=None, stays=stays)))
             result = sequence.plan(self.solver.body.nominal)
             if result[1] is None:
                 return *result, angle
@@ -305,10 +307,9 @@ class DoorOpening:
 
     def _plan_push(self, choice: DoorChoice, at: Float[np.ndarray, "n"]) -> tuple[PlannedPhase, ...] | None:
         """Plan the phases after the regrasp; None if they have no solution."""
-        sequence = self._sequence(choice)
         at_handle = replace(choice, push=None, stays=False)
         n_before = len(make_door_phases(self.door, at_handle))
-        phases, stuck = replace(sequence, specs=sequence.specs[n_before:]).plan(at)
+        phases, stuck = self._sequence(make_door_phases(self.door, choice)[n_before:]).plan(at)
         return None if stuck is not None else phases
 
     def _angles(self, start: float) -> list[float]:
@@ -340,13 +341,13 @@ class DoorOpening:
 
     def _solve_last_pose(self, choice: DoorChoice, guesses: tuple[Seed, ...]) -> Solved:
         """Solve for the pose at the end of the choice's last opening."""
-        sequence = self._sequence(choice)
-        spec = next(spec for spec in reversed(sequence.specs) if LEAF in spec.moving)
+        spec = next(spec for spec in reversed(make_door_phases(self.door, choice)) if LEAF in spec.moving)
+        sequence = self._sequence((spec,))
         with self.solver.monitor.step(HOW_FAR, 0.05):
-            return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses)
+            (spec,) = sequence.specs
+            return sequence.try_pose(HOW_FAR, replace(spec, first=spec.last), guesses, effort=Effort.ANY_POSE)
 
-    def _sequence(self, choice: DoorChoice) -> PhaseSequence:
-        specs = make_door_phases(self.door, choice)
+    def _sequence(self, specs: Sequence[TaskPhase]) -> PhaseSequence:
         return PhaseSequence.of(self.solver, self.door.mechanism, specs, wants_reserve=True, hints=self.hints)
 
     def _describe(self, choice: DoorChoice) -> str:

@@ -226,18 +226,22 @@ def _measure_outside(body: WholeBody, q: Float[np.ndarray, "n"]) -> float:
 
 def find_blocked(body: WholeBody, pick: Pick, choice: Choice) -> str | None:
     """Return which part of an open hand would be inside what stands around the object, where it is or is brought."""
-    query, robot = DistanceQuery(), body.robot
+    query = DistanceQuery()
+    shapes = [(grasp, list(list_hand_shapes(body.robot, grasp))) for grasp in choice.grasps]
     for number, (end, where) in enumerate(pick.places):
         around = (*body.scene.pieces, *(pick.holder if number == 0 else ()))
-        for grasp in choice.grasps:
+        for grasp, parts in shapes:
             pose = end @ grasp.pose_object_tool
-            for name, points in list_hand_shapes(robot, grasp):
-                own = points @ pose[:3, :3].T + pose[:3, 3]
+            turned, moved = pose[:3, :3], pose[:3, 3]
+            for name, points in parts:
+                own = points @ turned.T + moved
                 low, high = own.min(axis=0), own.max(axis=0)
                 for piece in around:
                     if np.any(piece.lower > high + ROOM_M) or np.any(piece.upper < low - ROOM_M):
                         continue
-                    depth = -query.measure(make_coal_convex(own), CoalSolid.of_piece(piece).convex)
+                    # The hull in the tool's frame is the same for every grasp: it is made once.
+                    hull, solid = make_coal_convex(points), CoalSolid.of_piece(piece).convex
+                    depth = -query.measure(hull, solid, turned, moved)
                     if depth > -ROOM_M:
                         which = "the grasps" if grasp.number is None else f"grasp {grasp.number}"
                         inside = f"{name} {1e3 * max(depth, 0.0):.0f} mm inside {piece.name}"

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import highspy
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
@@ -23,6 +22,7 @@ from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
 from service.verify.forces.hand_loads import list_offsets
+from service.verify.forces.linear_program import LinearProgram
 from service.verify.forces.pads import PATCH_DEPTH_M, find_patch
 from service.verify.forces.rounded import list_round_contact, shrink_hull
 from service.verify.frame_paths import FramePath
@@ -32,7 +32,6 @@ from service.verify.prepared_motion import PreparedMotion
 GRAVITY = 9.81
 SIDES = 8  # of the pyramids inside friction cones
 ARM_M = 0.05  # a moment of 1 N m counts like a force of 1 / 0.05 N in the program
-BALANCE_N = 1e-6  # by which forces may miss a wrench, relative to it
 LOAD_OFF_M = 4e-3  # farthest from an object's origin that what it presses against acts, across the force
 
 
@@ -194,52 +193,16 @@ class GripBalance:
         if not self._edges.size:
             return float("inf")
         wanted = np.concatenate([wrench[:3], wrench[3:] / ARM_M])
-        solver = self._solver
-        for row, value in enumerate(wanted.tolist()):
-            solver.changeRowBounds(row, value, value)
-        for _ in range(2):
-            if solver.run() == highspy.HighsStatus.kError:
-                solver.setOptionValue("threads", 0)  # a process has one pool of threads: take it as it is
-                solver.run()
-            status = solver.getModelStatus()
-            if status == highspy.HighsModelStatus.kOptimal:
-                forces = np.maximum(np.array(solver.getSolution().col_value)[:-1], 0.0)
-                if np.abs(self._edges @ forces - wanted).max() <= BALANCE_N * max(1.0, float(np.abs(wanted).max())):
-                    return float((self._presses @ forces).max())
-            if status == highspy.HighsModelStatus.kInfeasible:
-                break
-            solver.clearSolver()  # a start from the last basis may be at fault
-        return float("inf")
+        free = np.full(len(self._presses), -np.inf)  # no pad presses by more than the share
+        found = self._program.solve(np.append(wanted, free), np.append(wanted, np.zeros(len(free))))
+        return float("inf") if found is None else float((self._presses @ found[:-1]).max())
 
     @cached_property
-    def _solver(self) -> highspy.Highs:
+    def _program(self) -> LinearProgram:
         count, n_pads = self._edges.shape[1], len(self._presses)
-        rows = np.zeros((6 + n_pads, count + 1))  # the forces balance the wrench; no pad presses by more than the share
+        rows = np.zeros((6 + n_pads, count + 1))
         rows[:6, :-1], rows[6:, :-1], rows[6:, -1] = self._edges, self._presses, -1.0
-        program = highspy.HighsLp()
-        program.num_col_, program.num_row_ = count + 1, len(rows)
-        program.col_cost_ = np.append(np.zeros(count), 1.0)
-        program.col_lower_, program.col_upper_ = np.zeros(count + 1), np.full(count + 1, highspy.kHighsInf)
-        program.row_lower_ = np.append(np.zeros(6), np.full(n_pads, -highspy.kHighsInf))
-        program.row_upper_ = np.zeros(len(rows))
-        matrix = program.a_matrix_
-        matrix.format_ = highspy.MatrixFormat.kColwise
-        matrix.start_ = len(rows) * np.arange(count + 2, dtype=np.int32)
-        matrix.index_ = np.tile(np.arange(len(rows), dtype=np.int32), count + 1)
-        matrix.value_ = rows.T.ravel()
-        solver = highspy.Highs()
-        for name, value in (
-            ("output_flag", False),
-            ("threads", 1),
-            ("presolve", "off"),
-            ("solver", "simplex"),
-            ("simplex_strategy", 1),  # dual: the last prices stay feasible while only the wrench changes
-            ("primal_feasibility_tolerance", 1e-9),
-            ("dual_feasibility_tolerance", 1e-9),
-        ):
-            solver.setOptionValue(name, value)
-        solver.passModel(program)
-        return solver
+        return LinearProgram(np.append(np.zeros(count), 1.0), rows)
 
     def find_force_shares(self, force_n: float) -> Float[np.ndarray, "3"]:
         """Return the largest share that a force of a size needs along each axis, in either sense."""

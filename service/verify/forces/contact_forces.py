@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from costs.rotation import skew
 from costs.stopping import poll
+from service.verify.forces.linear_program import LinearProgram
 from service.verify.forces.loaded_balance import Ground
 
 # Wrench and cones may be missed by this share of the weight.
@@ -139,8 +140,6 @@ class ContactShare:
             rest, more: about the world's origin [N, Nm].
             joints: two samples: at rest, and the increase of torque by the motion.
         """
-        from scipy.optimize import linprog  # slow to import, and rarely needed
-
         wanted, slope = self.about_middle(np.stack([rest, more]))
         n_edges = self.edges.shape[1]
         lengths = np.concatenate([np.ones(3), np.full(3, 0.1)]) * self.weight
@@ -151,11 +150,9 @@ class ContactShare:
             own, rise = joints.torque / joints.effort
             rows = np.concatenate([rows, np.column_stack([-lever, rise]), np.column_stack([lever, -rise])])
             bounds = np.concatenate([bounds, 1.0 - own, 1.0 + own])
-        cost = np.zeros(n_edges + 1)
-        cost[-1] = -1.0
-        limits = [(0.0, None)] * n_edges + [(0.0, 1.0)]
-        found = linprog(cost, rows, bounds, equal, wanted / lengths, limits, method="highs")
-        return float("nan") if found.x is None else float(found.x[-1])
+        most = np.append(np.full(n_edges, np.inf), 1.0)
+        found = _solve_program(-1.0, rows, bounds, equal, wanted / lengths, most)
+        return float("nan") if found is None else float(found[-1])
 
     def _cap_rows(self, n_more: int) -> tuple[Float[np.ndarray, "C E+k"], Float[np.ndarray, "C"]]:
         """Return the caps as rows of edge forces in units of the weight, with further columns of zeros."""
@@ -223,9 +220,6 @@ class ContactShare:
 
     def _program(self, wanted: Float[np.ndarray, "6"], joints: Joints | None) -> Float[np.ndarray, "3C"] | None:
         """Return forces with the least largest share of torque, by a linear program; None where there are none."""
-        from scipy.optimize import linprog  # slow to import, and rarely needed
-
-        n_edges = self.edges.shape[1]
         lengths = np.concatenate([np.ones(3), np.full(3, 0.1)])
         equal = np.column_stack([self.grasp @ self.edges, np.zeros(6)]) / lengths[:, None]
         rows, bounds = self._cap_rows(1)
@@ -234,13 +228,26 @@ class ContactShare:
             own, one = joints.torque[0] / joints.effort, np.ones((len(joints.effort), 1))
             rows = np.concatenate([rows, np.hstack([-lever, -one]), np.hstack([lever, -one])])
             bounds = np.concatenate([bounds, -own, own])
-        cost = np.zeros(n_edges + 1)
-        cost[-1] = 1.0
-        found = linprog(cost, rows, bounds, equal, wanted / self.weight / lengths, (0.0, None), method="highs")
-        if found.x is None:
+        found = _solve_program(1.0, rows, bounds, equal, wanted / self.weight / lengths)
+        if found is None:
             return None
-        force = self.weight * self.edges @ found.x[:-1]
+        force = self.weight * self.edges @ found[:-1]
         return np.asarray(force + self._least @ (wanted - self.grasp @ force))
+
+
+def _solve_program(
+    last: float,
+    rows: Float[np.ndarray, "r n"],
+    bounds: Float[np.ndarray, "r"],
+    equal: Float[np.ndarray, "6 n"],
+    wanted: Float[np.ndarray, "6"],
+    most: Float[np.ndarray, "n"] | float = np.inf,
+) -> Float[np.ndarray, "n"] | None:
+    """Return x between 0 and ``most`` with the least ``last x[-1]``, ``rows x <= bounds``, ``equal x = wanted``."""
+    cost = np.zeros(rows.shape[1])
+    cost[-1] = last
+    low = np.concatenate([np.full(len(bounds), -np.inf), wanted])
+    return LinearProgram(cost, np.concatenate([rows, equal]), most).solve(low, np.concatenate([bounds, wanted]))
 
 
 def list_unit_wrenches(points: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "6 3C"]:

@@ -27,6 +27,7 @@ from service.verify.timeline import find_times
 
 # A moment of 1 Nm counts as much as a force of 1 / 0.1 N when the ground's wrench is shared between the feet.
 _MOMENT_ARM_M = 0.1
+_MOST_KEPT = 8_000  # samples whose inverse dynamics are kept, some 2 kB each
 
 
 @dataclass(frozen=True)
@@ -126,16 +127,30 @@ class InverseDynamics:
     jacobians: Float[np.ndarray, "S 6 m"]
 
 
-class _Last(threading.local):
-    """States of the last inverse dynamics of a thread, and the result."""
+@dataclass(frozen=True)
+class _Known:
+    """States of inverse dynamics, and the result; the model is kept, so that no other has its identity."""
 
-    model: pin.Model | None = None  # kept, so that no other model has its identity
-    choice: tuple[int, frozenset[int], bool] | None = None
-    states: tuple[np.ndarray, ...] = ()
-    inverse: InverseDynamics | None = None
+    model: pin.Model
+    choice: tuple[frozenset[int], bool]
+    states: tuple[Float[np.ndarray, "S n"], ...]
+    inverse: InverseDynamics
 
 
-_LAST = _Last()
+class _Latest(threading.local):
+    """The latest inverse dynamics of a thread: as many as have ``_MOST_KEPT`` samples."""
+
+    def __init__(self) -> None:
+        self.known: list[_Known] = []
+
+    def add(self, known: _Known) -> None:
+        """Keep one more, and drop the oldest where there are too many samples."""
+        self.known.insert(0, known)
+        counts = np.cumsum([len(each.inverse.torque) for each in self.known])
+        del self.known[max(1, int(np.searchsorted(counts, _MOST_KEPT, side="right"))) :]
+
+
+_LATEST = _Latest()
 
 
 def compute_inverse_dynamics(
@@ -146,13 +161,14 @@ def compute_inverse_dynamics(
     *,
     has_jacobians: bool = True,
 ) -> InverseDynamics:
-    """Return the forces of a motion at given states; those of the last states are kept: a law was timed by them."""
+    """Return the forces of a motion at given states; the latest are kept: a law is timed by them, phase by phase."""
     model: pin.Model = motion.robot.model
     data = borrow_data(model)
     apart = find_mechanism_joints(motion)
-    states, choice = (q, v, a), (id(model), apart, has_jacobians)
-    if _LAST.inverse is not None and _LAST.choice == choice and all(map(np.array_equal, _LAST.states, states)):
-        return _LAST.inverse
+    states, choice = (q, v, a), (apart, has_jacobians)
+    for known in _LATEST.known:
+        if known.model is model and known.choice == choice and all(map(np.array_equal, known.states, states)):
+            return known.inverse
     roots = [j for j in range(1, model.njoints) if int(model.parents[j]) == 0 and j not in apart]
     torque, wrench = np.empty((len(q), model.nv)), np.zeros((len(q), 6))
     jacobians = np.empty((len(q) if has_jacobians else 0, 6, model.nvExtended))
@@ -168,8 +184,7 @@ def compute_inverse_dynamics(
         array.flags.writeable = False
     inverse = InverseDynamics(torque, wrench, jacobians)
     if len(q):
-        _LAST.inverse, _LAST.choice, _LAST.model = inverse, choice, model
-        _LAST.states = (q.copy(), v.copy(), a.copy())
+        _LATEST.add(_Known(model, choice, (q.copy(), v.copy(), a.copy()), inverse))
     return inverse
 
 

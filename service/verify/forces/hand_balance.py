@@ -31,7 +31,7 @@ LEAST_SHARE = 0.4  # of the pressure of a contact that slides, along the way
 HELD_SHARE = 1.0 / 3.0  # of the friction angle that keeps another joint still while the hand sets on
 NOTHING_HOLDS = float(np.pi)  # by which cones would have to be wider where none suffices [rad]
 _SIDES = 8  # of the pyramids inside the cones
-_STEPS = 6  # of the search for how much wider cones would have to be
+_SHARES = np.arange(64) / 64  # of the angles by which cones are tried wider and narrower
 _REST = 1e-6  # of balances that hold, relative to the force along the way
 LEAST_FORCE_N = 1.0  # along the way of a joint that moves without resistance
 
@@ -136,86 +136,122 @@ def measure_excess(push: HandPush, met: Sequence[Meeting]) -> float:
 
     Half a turn where nothing touches, or where a force would exceed a cap.
     """
-    touching = [(contact, each) for contact, each in zip(push.contacts, met, strict=True) if each.is_touching]
-    if not touching:
-        return NOTHING_HOLDS
-    jams = -NOTHING_HOLDS
-    if len(touching) == 1:
-        ((contact, meeting),) = touching
-        jams = meeting.angle - find_jamming_angle(push)
-        if jams <= 0.0 and push.force_n > contact.cap_n * np.cos(meeting.angle):
-            return NOTHING_HOLDS
-        if jams > 0.0 or not push.held:
-            return jams
-    return max(jams, _search_widening(push, touching))
+    return float(measure_excesses(push, [met])[0])
 
 
-def _search_widening(push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> float:
-    """Search for the least widening of all cones in which forces balance the push [rad]."""
-    balance = _Balance(push, touching)
+def measure_excesses(push: HandPush, poses: Sequence[Sequence[Meeting]]) -> Float[np.ndarray, "S"]:
+    """Return ``measure_excess`` of several poses, which takes less time the nearer each is to the one before."""
+    excesses = np.full(len(poses), NOTHING_HOLDS)
+    least = np.full(len(poses), -NOTHING_HOLDS)
+    alike: dict[tuple[tuple[int, int], ...], list[int]] = {}
+    for k, met in enumerate(poses):
+        touching = [(number, each) for number, each in enumerate(met) if each.is_touching]
+        if len(touching) == 1:
+            ((number, meeting),) = touching
+            jams = meeting.angle - find_jamming_angle(push)
+            if jams <= 0.0 and push.force_n > push.contacts[number].cap_n * np.cos(meeting.angle):
+                continue
+            if jams > 0.0 or not push.held:
+                excesses[k] = jams
+                continue
+            least[k] = jams
+        if touching:
+            alike.setdefault(tuple((number, len(each.spot_ways)) for number, each in touching), []).append(k)
+    for key, rows in alike.items():
+        numbers = [number for number, _ in key]
+        caps = [push.contacts[number].cap_n for number in numbers]
+        found = _search_widenings(push, caps, [[poses[k][number] for number in numbers] for k in rows])
+        excesses[rows] = np.maximum(least[rows], found)
+    return excesses
+
+
+def _search_widenings(
+    push: HandPush, caps: Sequence[float], touching: Sequence[Sequence[Meeting]]
+) -> Float[np.ndarray, "S"]:
+    """Search for the least widening of all cones in which forces balance the push, at several poses [rad]."""
+    balance = _Balance(push, caps, touching)
     cone = float(np.arctan(push.friction[0])) * (HELD_SHARE if push.held else 1.0)
-    if len(touching) == 1 and balance.holds_about(0.0):
-        return -cone - _bisect(0.0, 0.25 * np.pi, balance.holds_about)
     widest = 0.5 * np.pi - cone - 1e-3
-    if not balance.exists(cone + widest):
-        return NOTHING_HOLDS
-    ends = (0.0, cone) if balance.exists(cone) else (-widest, 0.0)
-    return -_bisect(*ends, lambda narrower: balance.exists(cone - narrower))
+    # From the widest cones to the given ones, then on to none.
+    halves = np.concatenate([cone + widest * (1.0 - _SHARES), cone * (1.0 - _SHARES)])
+    offs = 0.25 * np.pi * _SHARES  # of the normal of a single contact that needs no friction
+    excesses, near = np.full(len(touching), NOTHING_HOLDS), None
+    for k in range(len(touching)):
+        if len(caps) == 1 and balance.holds_about(k, 0.0):
+            excesses[k] = -cone - offs[_find_last(lambda at, k=k: balance.holds_about(k, offs[at]), len(offs))]
+            continue
+        near = _find_last(lambda at, k=k: balance.exists(k, halves[at]), len(halves), near)
+        if near >= 0:
+            excesses[k] = halves[near] - cone
+    return excesses
 
 
-def _bisect(low: float, high: float, holds: Callable[[float], bool]) -> float:
-    """Return the largest angle found that holds, where the low one does and the high one may not [rad]."""
-    for _ in range(_STEPS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
+def _find_last(holds: Callable[[int], bool], count: int, near: int | None = None) -> int:
+    """Return the largest of the numbers below ``count`` at which something holds that holds up to one of them; or -1.
+
+    With a guess ``near`` it is looked for from there on, in steps that grow.
+    """
+    low, high, step = -1, count, 1
+    at = count // 2 if near is None else max(near, 0)
+    while high - low > 1:
+        is_held = holds(at)
+        low, high = (at, high) if is_held else (low, at)
+        is_between = near is None or (low >= 0 and high < count)
+        at = (low + high) // 2 if is_between else low + step if is_held else high - step
+        at, step = min(max(at, low + 1), high - 1), 2 * step
     return low
 
 
 class _Balance:
-    """Forces of contacts that push a joint and leave the held ones where they are.
+    """Forces of contacts that push a joint and leave the held ones where they are, at ``S`` poses.
 
     Several contacts do not press across the way, where they would hold against each other.  Each pad of them that lies
     flat on the body presses at several spots, and so resists torsion.
     """
 
-    def __init__(self, push: HandPush, touching: Sequence[tuple[HandContact, Meeting]]) -> None:
+    def __init__(self, push: HandPush, caps: Sequence[float], touching: Sequence[Sequence[Meeting]]) -> None:
+        """Prepare.
+
+        Args:
+            push: what the contacts do.
+            caps: of the contacts that touch [N].
+            touching: where each of them meets its body, by pose; each has as many spots at every pose.
+        """
         self._force = max(push.force_n, LEAST_FORCE_N)
-        self._caps = np.array([contact.cap_n for contact, _ in touching])
+        self._caps = np.array(caps)
         self._low = np.array([held.low for held in push.held])
         self._high = np.array([held.high for held in push.held])
-        several = len(touching) > 1
-        parts = [_list_spots(meeting, flat=several) for _, meeting in touching]
-        self._owners = np.repeat(np.arange(len(touching)), [len(ways) for ways, _ in parts])
-        self._normals = np.array([meeting.normal for _, meeting in touching])[self._owners]
-        self._ways = np.concatenate([ways for ways, _ in parts])
-        self._held = np.concatenate([held for _, held in parts])
+        several = len(caps) > 1
+        parts = [[_list_spots(meeting, flat=several) for meeting in each] for each in touching]
+        self._owners = np.repeat(np.arange(len(caps)), [len(ways) for ways, _ in parts[0]])
+        self._normals = np.array([[meeting.normal for meeting in each] for each in touching])[:, self._owners]
+        self._ways = np.stack([np.concatenate([ways for ways, _ in each]) for each in parts])
+        self._held = np.stack([np.concatenate([held for _, held in each]) for each in parts])
         self._around = _list_tangents(self._normals, self._ways)
-        middle = np.mean([meeting.way for _, meeting in touching], axis=0)
-        self._across = np.linalg.svd(middle[None])[2][1:] if several else np.zeros((0, 3))
-        # An edge is a sum of normal and tangent, and so is everything that is linear in it.
-        along = np.broadcast_to(self._normals[:, None], self._around.shape)
-        self._of_normals, self._wanted = self._make_rows(along)
-        self._of_tangents = self._make_rows(self._around)[0]
-        self._slacks = slice(1 + len(self._across), len(self._wanted))
-
-    def _make_rows(self, edges: Float[np.ndarray, "S E 3"]) -> tuple[Float[np.ndarray, "r e"], Float[np.ndarray, "r"]]:
-        """Return what unit forces along edges do, row by row, and what is wanted: the push, then upper bounds."""
-        count = edges.shape[0] * edges.shape[1]
-        equal = [(edges * self._ways[:, None]).sum(axis=2).reshape(1, count), self._across @ edges.reshape(count, 3).T]
-        parts = np.einsum("sek,shk->hse", edges, self._held).reshape(-1, count)
-        owned = np.arange(len(self._caps))[:, None] == self._owners
-        pressed = owned[:, :, None] * (edges * self._normals[:, None]).sum(axis=2)
+        middle = np.mean([[meeting.way for meeting in each] for each in touching], axis=1)
+        self._across = np.linalg.svd(middle[:, None])[2][:, 1:] if several else np.zeros((len(touching), 0, 3))
         is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
-        rows = np.concatenate([*equal, parts[is_high], -parts[is_low], pressed.reshape(-1, count)])
-        values = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
-        return rows, np.concatenate([[self._force], np.zeros(len(self._across)), values])
+        bounds = np.concatenate([self._high[is_high], -self._low[is_low], self._caps])
+        self._wanted = np.concatenate([[self._force], np.zeros(self._across.shape[1]), bounds])
+        # An edge is a sum of normal and tangent, and so is everything that is linear in it.
+        self._of_normals = self._make_rows(np.broadcast_to(self._normals[:, :, None], self._around.shape))
+        self._of_tangents = self._make_rows(self._around)
+        self._slacks = np.eye(len(self._wanted))[:, len(self._wanted) - len(bounds) :]
 
-    def _list_edges(self, half: float) -> Float[np.ndarray, "S E 3"]:
-        """Return the edges of pyramids inside cones of a half-angle, as unit vectors."""
-        return np.asarray(np.cos(half) * self._normals[:, None] + np.sin(half) * self._around)
+    def _make_rows(self, edges: Float[np.ndarray, "S P E 3"]) -> Float[np.ndarray, "S r e"]:
+        """Return what unit forces along edges do, row by row: along the way, across it, at held joints and caps."""
+        n_poses, count = len(edges), edges.shape[1] * edges.shape[2]
+        along = (edges * self._ways[:, :, None]).sum(axis=3).reshape(n_poses, 1, count)
+        across = self._across @ edges.reshape(n_poses, count, 3).transpose(0, 2, 1)
+        parts = np.einsum("spek,sphk->shpe", edges, self._held).reshape(n_poses, len(self._low), count)
+        owned = np.arange(len(self._caps))[:, None] == self._owners
+        pressed = owned[:, :, None] * (edges * self._normals[:, :, None]).sum(axis=3)[:, None]
+        is_low, is_high = np.isfinite(self._low), np.isfinite(self._high)
+        own = pressed.reshape(n_poses, len(self._caps), count)
+        return np.concatenate([along, across, parts[:, is_high], -parts[:, is_low], own], axis=1)
 
-    def exists(self, half: float) -> bool:
-        """Return whether there are such forces within a half-angle of the normals.
+    def exists(self, pose: int, half: float) -> bool:
+        """Return whether there are such forces at a pose within a half-angle of the normals.
 
         A non-negative least-squares problem: coefficients of the cones' edges, and slacks of caps and of held joints.
         """
@@ -223,21 +259,20 @@ class _Balance:
             return False
         from scipy.optimize import nnls  # slow to import, and rarely needed
 
-        count, n_bounds = self._of_normals.shape[1], self._slacks.stop - self._slacks.start
-        matrix = np.zeros((len(self._wanted), count + n_bounds))
-        matrix[:, :count] = np.cos(half) * self._of_normals + np.sin(half) * self._of_tangents
-        matrix[self._slacks, count:] = np.eye(n_bounds)
-        _, rest = nnls(matrix, self._wanted)
+        edges = np.cos(half) * self._of_normals[pose] + np.sin(half) * self._of_tangents[pose]
+        _, rest = nnls(np.hstack([edges, self._slacks]), self._wanted)
         return bool(rest < _REST * self._force)
 
-    def holds_about(self, off: float) -> bool:
+    def holds_about(self, pose: int, off: float) -> bool:
         """Return whether a single contact holds without friction, for every normal within an angle of its own."""
-        normals = np.vstack([self._normals, self._list_edges(off / np.cos(np.pi / _SIDES))[0]])
-        share = normals @ self._ways[0]
+        half = off / np.cos(np.pi / _SIDES)
+        edges = np.cos(half) * self._normals[pose] + np.sin(half) * self._around[pose, 0]
+        normals = np.vstack([self._normals[pose], edges])
+        share = normals @ self._ways[pose, 0]
         if share.min() <= 0.0:
             return False
         pressure = self._force / share
-        parts = pressure[:, None] * (normals @ self._held[0].T)
+        parts = pressure[:, None] * (normals @ self._held[pose, 0].T)
         slack = _REST * pressure.max()
         is_held = (parts >= self._low - slack) & (parts <= self._high + slack)
         return bool(is_held.all()) and bool(pressure.max() <= self._caps[0])
@@ -250,11 +285,13 @@ def _list_spots(meeting: Meeting, *, flat: bool) -> tuple[Float[np.ndarray, "P 3
     return meeting.way[None], meeting.held[None]
 
 
-def _list_tangents(normals: Float[np.ndarray, "C 3"], ways: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "C E 3"]:
+def _list_tangents(
+    normals: Float[np.ndarray, "S P 3"], ways: Float[np.ndarray, "S P 3"]
+) -> Float[np.ndarray, "S P E 3"]:
     """Return unit vectors around each normal, at equal angles, the first where the way leads along the surface."""
-    basis = np.linalg.svd(normals[:, None])[2][:, 1:]
-    along = (basis * ways[:, None]).sum(axis=2)
-    size = np.linalg.norm(along, axis=1)
-    first = np.where(size > _REST, np.arctan2(along[:, 1], along[:, 0]), 0.0)
-    turn = first[:, None] + 2.0 * np.pi * np.arange(_SIDES) / _SIDES
-    return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=2) @ basis)
+    basis = np.linalg.svd(normals[..., None, :])[2][..., 1:, :]
+    along = (basis * ways[..., None, :]).sum(axis=-1)
+    size = np.linalg.norm(along, axis=-1)
+    first = np.where(size > _REST, np.arctan2(along[..., 1], along[..., 0]), 0.0)
+    turn = first[..., None] + 2.0 * np.pi * np.arange(_SIDES) / _SIDES
+    return np.asarray(np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ basis)

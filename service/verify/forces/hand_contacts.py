@@ -22,7 +22,7 @@ from service.verify.forces.hand_balance import (
     TOUCH_GAP_M,
     Meeting,
     find_jamming_angle,
-    measure_excess,
+    measure_excesses,
     meet,
 )
 from service.verify.forces.hand_loads import bound_coordinate
@@ -199,9 +199,8 @@ class PushPath:
 
     def _list_excesses(self, s: Float[np.ndarray, "S"]) -> Float[np.ndarray, "S"]:
         self._find(s)
-        for at in s.tolist():
-            if at not in self._excesses:
-                self._excesses[at] = measure_excess(self._push, self._known[at])
+        new = [at for at in dict.fromkeys(s.tolist()) if at not in self._excesses]
+        self._excesses |= zip(new, measure_excesses(self._push, [self._known[at] for at in new]).tolist(), strict=True)
         return np.array([self._excesses[at] for at in s.tolist()])
 
     def bound_travel(self, first: np.ndarray, last: np.ndarray) -> Float[np.ndarray, "C I"]:
