@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Lock, Thread
 from typing import Any
@@ -25,7 +25,7 @@ from benchmarks.attack.gantry_files import pick_place_request, write_gantry
 from benchmarks.console.acts import Act, list_clicks, list_forgeries, next_click
 from benchmarks.console.seat import Seat
 from benchmarks.tables import print_table
-from service.client import PlannerClient
+from service.client import PlannerClient, PlannerError
 from service.proto.planner.v1 import execution_pb2 as wire
 from service.request.file import parse_request
 
@@ -61,12 +61,16 @@ class Witness:
         self._client = PlannerClient(target)
         Thread(target=self._watch, daemon=True).start()
 
-    def confirm(self) -> None:
-        """Note that what the hands hold may be let go."""
+    def allow(self, may_open: bool) -> None:
+        """Note whether what the hands hold may be let go."""
         with self._lock:
-            self.may_open = True
+            self.may_open = may_open
 
     def _watch(self) -> None:
+        with suppress(PlannerError):  # the server ends first
+            self._follow()
+
+    def _follow(self) -> None:
         names: list[str] = []
         for state in self._client.watch(rate_hz=50.0):
             if state.HasField("plan"):
@@ -128,7 +132,7 @@ def make_plans(target: str, folder: Path) -> None:
         bare = {"floor": 0.0, "obstacles": put["scene"]["obstacles"]}
         start = {"joints": last}
         away = {"robot": robot, "start": start, "scene": bare, "goal": {"joints": {"x": last["x"] + 0.1}}}
-        drop = {"robot": robot, "start": start, "scene": bare, "goal": {"joints": {FINGER: last[FINGER] + 0.02}}}
+        drop = {"robot": robot, "start": start, "scene": bare, "goal": {"joints": {FINGER: last[FINGER] + 0.01}}}
         for name, request in (("away", away), ("drop", drop)):
             client.plan(parse_request(request), out=folder / name)
 
@@ -141,9 +145,12 @@ def run_session(seats: list[Seat], rng: random.Random, witness: Witness, counts:
         act = choose(seat, rng)
         if act is None:
             continue
-        if act.may_open:
-            witness.confirm()
+        before = witness.may_open
+        if act.may_open:  # before the answer, which comes later than the first cycle
+            witness.allow(True)
         answer = act.give()
+        if act.may_open and "error" in answer:
+            witness.allow(before)
         counts["acts"] += 1
         counts[act.name] += 1
         counts["refused"] += "error" in answer
@@ -175,6 +182,7 @@ def main() -> int:
     counts: Counter[str] = Counter()
     shown = set[str]()
     with tempfile.TemporaryDirectory(prefix="scopt-bench-") as folder, open_table(Path(folder)) as (target, url):
+        print("  server and console are ready", flush=True)
         witness, end, n = Witness(target), time.monotonic() + given.seconds, 0
         while n < given.sessions and time.monotonic() < end:
             with ExitStack() as stack:
@@ -182,6 +190,10 @@ def main() -> int:
                 run_session(seats, random.Random(given.seed + n), witness, counts)
                 shown |= seats[0].shown | seats[1].shown
             n += 1
+            wrong = witness.falls, witness.openings, len(set(witness.carried_out) - shown), counts["internal"]
+            print(
+                f"  {n} sessions, {counts['acts']} acts, {len(witness.carried_out)} motions, wrong {wrong}", flush=True
+            )
         time.sleep(0.5)  # for what the witness has still to hear
     unseen = set(witness.carried_out) - shown
     rows: list[list[Any]] = [
