@@ -24,7 +24,7 @@ def list_releases(result: Mapping[str, Any]) -> dict[str, str]:
 
 def list_held(result: Mapping[str, Any]) -> list[str]:
     """Return the objects that hands hold when a plan begins, from its parsed ``result.json``."""
-    first = next(iter(result.get("phases") or ()), {})
+    first: Mapping[str, Any] = next(iter(result.get("phases") or ()), {})
     return [str(carrier["object"]) for carrier in first.get("carriers") or () if carrier["link"] is not None]
 
 
