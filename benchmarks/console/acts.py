@@ -23,12 +23,19 @@ class Act:
     Attributes:
         name: of the order or of the box.
         give: does it, and returns the answer.
-        may_open: whether it confirms that hands may open, or puts a simulated robot elsewhere.
+        may_open: whether it confirms that hands may let go what they hold.
+        is_placed: whether it puts the simulated robot elsewhere, so that its hands hold nothing.
     """
 
     name: str
     give: Callable[[], Message]
     may_open: bool = False
+    is_placed: bool = False
+
+    @property
+    def begins(self) -> bool:
+        """Whether it may begin a motion of the robot."""
+        return self.name in ("execute", "forged execute", "forged plan", "forged move", "nudge robot")
 
 
 def list_boxes(seat: Seat) -> list[str]:
@@ -154,7 +161,7 @@ def execute(seat: Seat) -> Act:
     return Act("execute", lambda: seat.order(
         "execute", plan_id=plan["plan_id"], trajectory_sha256=plan["trajectory_sha256"], revision=seat.revision,
         is_placed=PLACED in ticked, lets_go=names,
-    ), may_open=PLACED in ticked or bool(names))  # fmt: skip
+    ), may_open=bool(names), is_placed=PLACED in ticked)  # fmt: skip
 
 
 def nudge(seat: Seat, rng: random.Random, to: str) -> Act:

@@ -22,7 +22,7 @@ from threading import Lock, Thread
 from typing import Any
 
 from benchmarks.attack.gantry_files import pick_place_request, write_gantry
-from benchmarks.console.acts import Act, list_clicks, list_forgeries, next_click
+from benchmarks.console.acts import UNDER_WAY, Act, list_clicks, list_forgeries, next_click
 from benchmarks.console.seat import Seat
 from benchmarks.tables import print_table
 from service.client import PlannerClient, PlannerError
@@ -48,55 +48,58 @@ class Witness:
     Attributes:
         carried_out: hashes of all trajectories that it began.
         falls, openings: what must not be.
-        may_open: whether an operator has confirmed what a hand may let go, or a placed robot holds nothing.
     """
 
     def __init__(self, target: str) -> None:
         self.carried_out: list[str] = []
         self.falls = self.openings = 0
-        self.may_open = False
         self._lock = Lock()
+        self._next: Act | None = None  # the order that may begin the next motion
+        self._may_open = False  # whether that which began the present one has confirmed what hands let go
         self._closed: float | None = None  # of the finger while it holds something
-        self._mode = 0
+        self._mode = ""
         self._client = PlannerClient(target)
         Thread(target=self._watch, daemon=True).start()
 
-    def allow(self, may_open: bool) -> None:
-        """Note whether what the hands hold may be let go."""
+    def expect(self, act: Act | None) -> None:
+        """Note the order that may begin the next motion; None once it is refused."""
         with self._lock:
-            self.may_open = may_open
+            self._next = act
 
     def _watch(self) -> None:
         with suppress(PlannerError):  # the server ends first
             self._follow()
 
     def _follow(self) -> None:
-        names: list[str] = []
-        for state in self._client.watch(rate_hz=50.0):
-            if state.HasField("plan"):
-                names = list(state.plan.joint_names)
-                if state.plan.trajectory_sha256:
-                    self.carried_out.append(state.plan.trajectory_sha256)
-            if state.HasField("status"):
-                fallen = wire.EXECUTION_MODE_FALLEN
-                self.falls += state.status.mode == fallen and self._mode != fallen
-                self._mode = state.status.mode
+        for state in self._client.watch(rate_hz=50.0):  # each is the whole state
+            mode = wire.ExecutionMode.Name(state.status.mode).removeprefix("EXECUTION_MODE_").lower()
+            if mode in UNDER_WAY and self._mode not in UNDER_WAY:
+                self._begin(state.plan.trajectory_sha256)
+            self.falls += mode == "fallen" and self._mode != "fallen"
+            self._mode = mode
             with self._lock:
-                self._look(state, names)
+                self._look(state)
 
-    def _look(self, state: wire.WatchResponse, names: list[str]) -> None:
-        opening = None
-        if FINGER in names and len(state.pose.measured) == len(names):
-            opening = state.pose.measured[names.index(FINGER)]
-        if state.HasField("status") and state.status.held:
-            if self._closed is None:
-                self._closed, self.may_open = float("inf"), False
-        elif state.HasField("status") and self.may_open:
+    def _begin(self, trajectory_sha256: str) -> None:
+        """Take note of a motion that begins."""
+        self.carried_out.append(trajectory_sha256)
+        with self._lock:
+            self._may_open = self._next is not None and self._next.may_open
+            if self._next is not None and self._next.is_placed:
+                self._closed = None
+
+    def _look(self, state: wire.WatchResponse) -> None:
+        """Take note of what hands hold, and of a finger that opens around it."""
+        if state.status.held and self._closed is None:
+            self._closed = float("inf")
+        elif not state.status.held and self._may_open:
             self._closed = None
-        if opening is None or self._closed is None:
+        names = list(state.plan.joint_names)
+        if self._closed is None or FINGER not in names or len(state.pose.measured) != len(names):
             return
+        opening = state.pose.measured[names.index(FINGER)]
         self._closed = min(self._closed, opening)
-        if opening > self._closed + OPENED_M and not self.may_open:
+        if opening > self._closed + OPENED_M and not self._may_open:
             self.openings += 1
             self._closed = None
 
@@ -145,12 +148,11 @@ def run_session(seats: list[Seat], rng: random.Random, witness: Witness, counts:
         act = choose(seat, rng)
         if act is None:
             continue
-        before = witness.may_open
-        if act.may_open:  # before the answer, which comes later than the first cycle
-            witness.allow(True)
+        if act.begins:  # before the answer, which comes later than the first cycle
+            witness.expect(act)
         answer = act.give()
-        if act.may_open and "error" in answer:
-            witness.allow(before)
+        if act.begins and "error" in answer:
+            witness.expect(None)
         counts["acts"] += 1
         counts[act.name] += 1
         counts["refused"] += "error" in answer
