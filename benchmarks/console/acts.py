@@ -23,12 +23,14 @@ class Act:
     Attributes:
         name: of the order or of the box.
         give: does it, and returns the answer.
+        values: that it sends, as far as they explain what follows.
         may_open: whether it confirms that hands may let go what they hold.
         is_placed: whether it puts the simulated robot elsewhere, so that its hands hold nothing.
     """
 
     name: str
     give: Callable[[], Message]
+    values: str = ""
     may_open: bool = False
     is_placed: bool = False
 
@@ -151,7 +153,8 @@ def list_forgeries(seat: Seat, rng: random.Random) -> Iterator[Act]:
 
 def command(seat: Seat, name: str, **values: Any) -> Act:
     """Return an order to the robot."""
-    return Act(name, lambda: seat.order("command", **{"command": name, "revision": seat.revision, **values}))
+    say = " ".join(str(value) for value in values.values())
+    return Act(name, lambda: seat.order("command", **{"command": name, "revision": seat.revision, **values}), say)
 
 
 def execute(seat: Seat) -> Act:
@@ -161,7 +164,7 @@ def execute(seat: Seat) -> Act:
     return Act("execute", lambda: seat.order(
         "execute", plan_id=plan["plan_id"], trajectory_sha256=plan["trajectory_sha256"], revision=seat.revision,
         is_placed=PLACED in ticked, lets_go=names,
-    ), may_open=bool(names), is_placed=PLACED in ticked)  # fmt: skip
+    ), f"{plan['plan_id'][:6]} {sorted(ticked)}", may_open=bool(names), is_placed=PLACED in ticked)  # fmt: skip
 
 
 def nudge(seat: Seat, rng: random.Random, to: str) -> Act:

@@ -140,8 +140,9 @@ def make_plans(target: str, folder: Path) -> None:
             client.plan(parse_request(request), out=folder / name)
 
 
-def run_session(seats: list[Seat], rng: random.Random, witness: Witness, counts: Counter[str]) -> None:
-    """Click and forge at random at two seats, and note what was asked and how it was answered."""
+def run_session(seats: list[Seat], rng: random.Random, witness: Witness, counts: Counter[str]) -> list[str]:
+    """Click and forge at random at two seats; note what was asked and how it was answered, and return a line each."""
+    told = []
     for _ in range(ACTS):
         seat = seats[0] if rng.random() < 0.8 else seats[1]
         seat.hear(0.0)
@@ -156,10 +157,13 @@ def run_session(seats: list[Seat], rng: random.Random, witness: Witness, counts:
         counts["acts"] += 1
         counts[act.name] += 1
         counts["refused"] += "error" in answer
+        mode = seat.robot.get("mode", "")
+        told.append(f"{act.name} {act.values or ''} ({mode}): {str(answer.get('error', 'done'))[:200]}")
         if answer.get("code") == "INTERNAL":
             counts["internal"] += 1
             print(f"{act.name}: {answer}", flush=True)
         seat.hear(rng.choice((0.0, 0.0, 0.03, 0.3)) if act.name != "execute" else rng.choice((0.05, 0.5, 1.5)))
+    return told
 
 
 def choose(seat: Seat, rng: random.Random) -> Act | None:
@@ -189,7 +193,10 @@ def main() -> int:
         while n < given.sessions and time.monotonic() < end:
             with ExitStack() as stack:
                 seats = [stack.enter_context(Seat(url)) for _ in range(2)]
-                run_session(seats, random.Random(given.seed + n), witness, counts)
+                before = witness.falls, witness.openings
+                told = run_session(seats, random.Random(given.seed + n), witness, counts)
+                if (witness.falls, witness.openings) != before:
+                    print(*told, f"at last: {seats[0].robot.get('reason')}", sep="\n    ", flush=True)
                 shown |= seats[0].shown | seats[1].shown
             n += 1
             wrong = witness.falls, witness.openings, len(set(witness.carried_out) - shown), counts["internal"]
