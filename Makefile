@@ -35,7 +35,7 @@ help:
 	@echo "make bench-tasks    doors and valves, given and from simulated scans, certified or not, as tables; an hour"
 	@echo "make bench-starts   which starts of the search lead to motions, and what each costs, as tables; some minutes"
 	@echo "make bench-egress   poses and sequences of getting out of a vehicle, as tables; some minutes"
-	@echo "make bench-console  poses that are led by hand, and the page in a browser, as tables; some minutes"
+	@echo "make bench-console  poses that are led by hand, the page in a browser, random sessions, as tables; half an hour"
 	@echo "make bench-physics  what becomes of certified plans in a physics engine, as a table; some minutes"
 	@echo "make bench-faults   faults of sensors, servos and surroundings in physics, as a table; an hour"
 	@echo "make attack    lies told to the verifier and the planner, and cancels at random moments, as a table"
@@ -141,6 +141,7 @@ bench-egress: $(READY)
 bench-console: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.console.poses --repeat 2
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.console.page
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.console.sessions --seconds 600
 
 # BENCH_ARGS=--long simulates 200 plans and takes an hour, BENCH_ARGS="--feed-forward 0" is for pure position servos.
 bench-physics: $(READY)

@@ -34,6 +34,7 @@ from service.body.whole_body import CLEARANCE_TOLERANCE, WholeBody
 from service.errors import RequestError
 from service.motion.execute import make_motion, repair_plan
 from service.motion.expected_sag import expect_sag
+from service.motion.jams import list_jam_notes
 from service.motion.timing import TimingSettings
 from service.request.schema import Options, PlanRequest
 from service.result.attempt import Attempt
@@ -128,7 +129,9 @@ def _expect_sag(result: PlanResult) -> PlanResult:
     if result.motion is None or result.verdict not in (Verdict.CERTIFIED, Verdict.FEASIBLE_AT_SAMPLES):
         return result
     servo, notes = expect_sag(result.motion, result.robot, result.request, result.certificate)
-    return replace(result, servo=servo, notes=(*result.notes, *notes, *_note_missed_margin(result)))
+    return replace(
+        result, servo=servo, notes=(*result.notes, *notes, *list_jam_notes(result.motion), *_note_missed_margin(result))
+    )
 
 
 def _note_missed_margin(result: PlanResult) -> Iterator[str]:

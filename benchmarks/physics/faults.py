@@ -1,11 +1,12 @@
 """Plans in physics with a fault at a moment: does the robot stand after the reaction, and was the fault named?
 
-``python -m benchmarks.physics.faults [NAME|FOLDER ...] [--moments N | --at S ...] [--only TEXT]
+``python -m benchmarks.physics.faults [NAME|FOLDER ...] [--moments N | --at S ... | --draw N --seed S] [--only TEXT]
 [--period MS] [--out FILE]``.
 
-Names are files of ``examples/requests``.  Each fault of ``fault_kinds`` begins at N moments of each plan, and the robot
-is watched for three more seconds.  An outcome is safe if the robot stands and no link presses harder than its cap,
-filtered; a fault is named if a finding of the guards has one of its names.
+Names are files of ``examples/requests``.  Each fault of ``fault_kinds`` begins at N moments of each plan (``--draw``: N
+faults of each plan, each at a moment, both drawn), and the robot is watched for three more seconds.  An outcome is safe
+if the robot stands and no link presses harder than its cap, filtered; a fault is named if a finding of the guards has
+one of its names.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -93,13 +94,28 @@ class Stage:
         side = "r" if any(tool.startswith("r") for tool in tools) else "l"
         self.arm, self.leg = self._find(joints, (f"{side}_arm_elx", "arm")), self._find(joints, ("l_leg_kny", "leg"))
 
-    def list_moments(self, count: int) -> list[float]:
-        """Return moments of the plan, evenly from its beginning to its end [s]."""
-        return [self.reference.duration_s * (k + 1.0) / (count + 1.0) for k in range(count)]
+    def list_moments(self, fault: Fault, shares: Iterable[float]) -> list[float]:
+        """Return the moments at shares of the time in which a fault can be noticed [s].
+
+        What happens to an object is noticed while hands press on it.
+        """
+        phases = [phase for phase in self.reference.phases if phase.loads or not fault.name.startswith("object")]
+        ends = np.cumsum([phase.end_s - phase.begin_s for phase in phases])
+        moments = []
+        for wanted in (share * float(ends[-1]) for share in shares):
+            k = min(int(np.searchsorted(ends, wanted)), len(phases) - 1)
+            moments.append(phases[k].end_s - (float(ends[k]) - wanted))
+        return moments
+
+    def draw(self, faults: Sequence[Fault], count: int, seed: int) -> list[tuple[Fault, float]]:
+        """Return faults, each once before one comes again, and a moment of the plan for each [s]."""
+        rng = np.random.default_rng([seed, *self.name.encode()])
+        order = [int(k) for _ in range(-(-count // len(faults))) for k in rng.permutation(len(faults))]
+        return [(faults[k], self.list_moments(faults[k], [rng.uniform(0.02, 0.98)])[0]) for k in order[:count]]
 
     def list_faults(self, text: str) -> Iterator[Fault]:
         """Yield the faults that this plan can have."""
-        has_object = bool(self.reference.mechanism_names)
+        has_object = bool(self.reference.mechanism_names) and any(phase.loads for phase in self.reference.phases)
         lands = len({c.link for c in self.reference.phases[0].contacts}) < len(
             {c.link + str(c.points.round(2).tolist()) for phase in self.reference.phases for c in phase.contacts}
         )
@@ -240,6 +256,8 @@ def main() -> None:
     parser.add_argument("plans", nargs="*", default=list(NAMES), help="names of requests, or result folders")
     parser.add_argument("--moments", type=int, default=3)
     parser.add_argument("--at", type=float, nargs="+", help="these moments of each plan instead [s]", metavar="S")
+    parser.add_argument("--draw", type=int, help="as many faults of each plan instead, each at a moment", metavar="N")
+    parser.add_argument("--seed", type=int, default=0, help="of what is drawn")
     parser.add_argument("--only", default="", help="faults whose name contains this")
     parser.add_argument("--period", type=int, default=4, help="of the pose control [ms]")
     parser.add_argument("--out", type=Path, help="file for all runs as JSON")
@@ -248,18 +266,23 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for name, folder in list_folders(given.plans, Path(scratch)):
             stage = Stage(name, folder, given.period)
-            for fault in stage.list_faults(given.only):
-                for moment in given.at or stage.list_moments(given.moments):
-                    try:
-                        runs.append(stage.run(fault, moment))
-                    except ServiceError as error:
-                        print(f"{name} {fault.name} {moment:.2f}: {error}")
-                        raise
-                    run = runs[-1]
-                    words = "safe" if run.is_safe else f"UNSAFE {'fell' if run.fell else run.exceeded}"
-                    named = "" if run.is_named else "unnamed "
-                    shown = f"{run.verdict} {run.reason} {list(run.names)}"
-                    print(f"{name} {fault.name} {moment:.1f} s: {words} {named}{shown} ({run.cpu_s:.1f} s)", flush=True)
+            faults = list(stage.list_faults(given.only))
+            if given.draw is None:
+                shares = [(k + 1.0) / (given.moments + 1.0) for k in range(given.moments)]
+                pairs = [(one, moment) for one in faults for moment in given.at or stage.list_moments(one, shares)]
+            else:
+                pairs = stage.draw(faults, given.draw, given.seed)
+            for fault, moment in pairs:
+                try:
+                    runs.append(stage.run(fault, moment))
+                except ServiceError as error:
+                    print(f"{name} {fault.name} {moment:.2f}: {error}")
+                    raise
+                run = runs[-1]
+                words = "safe" if run.is_safe else f"UNSAFE {'fell' if run.fell else run.exceeded}"
+                named = "" if run.is_named else "unnamed "
+                shown = f"{run.verdict} {run.reason} {list(run.names)}"
+                print(f"{name} {fault.name} {moment:.1f} s: {words} {named}{shown} ({run.cpu_s:.1f} s)", flush=True)
     kinds: Mapping[str, list[Run]] = {fault.name: [r for r in runs if r.fault == fault.name] for fault in FAULTS}
     rows = [summarize(name, own) for name, own in kinds.items() if own]
     print_table("Faults in physics", HEADER, [*rows, summarize("all", runs)])

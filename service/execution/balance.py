@@ -76,13 +76,15 @@ class PlannedBalance:
         return float(self.times[before[best]])
 
     def _find_first(self, k: int) -> int:
-        """Return the first of the phases up to one that hold the robot by the same links besides its feet.
+        """Return the first of the phases up to one that have the same hold of the world and of objects.
 
-        Feet are put down again where they stood; hands and trunk would have to take hold again of what they let go.
+        Feet are put down again where they stood; hands and trunk would have to take hold again of what they let go, and
+        would let go of what they took.
         """
 
-        def others(phase: Phase) -> set[str]:
-            return {contact.link for contact in phase.contacts} - set(self.feet)
+        def others(phase: Phase) -> tuple[set[str], set[tuple[str, str]]]:
+            held = {(carrier.item, carrier.link) for carrier in phase.carriers if carrier.link is not None}
+            return {contact.link for contact in phase.contacts} - set(self.feet), held
 
         while k > 0 and others(self.phases[k - 1]) == others(self.phases[k]):
             k -= 1

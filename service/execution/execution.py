@@ -187,9 +187,14 @@ class Execution:
         """Displace the target of a foot or a hand from the plan, in world axes [m]; it goes there smoothly.
 
         Raises:
-            ExecutionError: the link is no foot or hand, or the displacement makes no sense.
+            ExecutionError: the link is no foot or hand, it carries the robot now, or the displacement makes no sense.
         """
         self.controller.check_link(link)
+        phase, _ = self._current_phases()
+        if any(contact.link == link for contact in phase.contacts):
+            raise ExecutionError(
+                f"shift: {link} carries the robot in '{phase.name}'; it can be shifted while it moves, or plan again"
+            )
         self._shifts[link] = self._shifts.get(link, Shift.zero()).towards(np.asarray(offset, dtype=float))
 
     @property
@@ -240,7 +245,11 @@ class Execution:
             self.state = replace(self.state, mode=Mode.ABORTED, rate=0.0, reason=self._link.problem)
         phase, _ = self._current_phases()
         wanted = self._wanted = self.reference.at(self.state.time_s)
-        self._shifts = {link: step_shift(shift, settings.shifts, period) for link, shift in self._shifts.items()}
+        planted = {contact.link for contact in phase.contacts}  # what carries the robot stays where it is
+        self._shifts = {
+            link: shift.stop() if link in planted else step_shift(shift, settings.shifts, period)
+            for link, shift in self._shifts.items()
+        }
         control = time.perf_counter()
         sent = self._control(reading, wanted)
         control_s = time.perf_counter() - control

@@ -49,6 +49,10 @@ class Shift:
         """Whether the displacement is complete, to 0.1 mm."""
         return bool(np.linalg.norm(self.goal - self.offset) <= 1e-4)
 
+    def stop(self) -> Shift:
+        """Return the displacement at rest where it is."""
+        return Shift(self.offset, np.zeros(3), self.offset)
+
     def towards(self, goal: Float[np.ndarray, "3"]) -> Shift:
         """Return the same displacement on its way to another goal.
 

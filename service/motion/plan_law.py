@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,6 +13,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
 from service.body.task_plan import PlannedPhase, TaskPlan
 from service.body.whole_body import BASE_SPEED
+from service.motion.jams import list_cheap_speeds
 from service.motion.slowing import slow_to_limits, slow_to_speeds, slow_until_grips_hold, stretch_law
 from service.motion.timing import (
     Pace,
@@ -30,6 +31,7 @@ TRIES = 14
 ROUNDS = 12  # of slowing a law and fitting the ends of its curve again
 SPARE = 1.003  # more than a round asks
 SAME_DURATION = 1e-9  # share of a duration that is rounding
+Stretch = list[tuple[PlannedPhase, float, float]]  # phases from one rest to the next, and their path parameters
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class PlanTimer:
         paces: of the stretches between rests without a law of their own.
         speeds: largest speeds of frames that the motion promises.
         settled: ends of the phases whose law is known to keep all limits.
+        given: ends of the stretches in which the task says how fast a frame moves.
     """
 
     plan: TaskPlan
@@ -53,12 +56,20 @@ class PlanTimer:
     paces: tuple[Pace, ...]
     speeds: tuple[FrameSpeed, ...]
     settled: tuple[tuple[float, float], ...]
+    given: tuple[tuple[float, float], ...]
 
     @staticmethod
     def of(plan: TaskPlan, motion: Motion, borders: Sequence[float], settings: TimingSettings) -> PlanTimer:
         """Read what the phases of a plan say about its law."""
-        speeds = tuple(list_frame_speeds(motion, motion.phases))
         stretches = _list_stretches(plan, borders)
+        given = _list_ends(parts for parts in stretches if any(phase.limits for phase, _, _ in parts))
+        known = _list_ends(parts for parts in stretches if all(_has_law(phase) for phase, _, _ in parts))
+        cheap = (
+            speed
+            for speed in list_cheap_speeds(motion)
+            if all(speed.last <= first or speed.first >= last for first, last in (*given, *known))
+        )
+        speeds = (*list_frame_speeds(motion, motion.phases), *cheap)
         paces = tuple(
             Pace(
                 parts[0][1],
@@ -67,12 +78,12 @@ class PlanTimer:
                 parts[0][0].duration_s if len(parts) == 1 else None,
             )
             for parts in stretches
-            if any(phase.kept is None or phase.kept.law is None for phase, _, _ in parts)
+            if not all(_has_law(phase) for phase, _, _ in parts)
         )
         phases = zip(plan.phases, pairwise(borders), strict=True)
         settled = tuple(border for phase, border in phases if phase.kept is not None and phase.kept.is_settled)
         rests = tuple(parts[-1][2] for parts in stretches)
-        return PlanTimer(plan, tuple(borders), rests, settings, paces, speeds, settled)
+        return PlanTimer(plan, tuple(borders), rests, settings, paces, speeds, settled, given)
 
     def time(self, motion: Motion) -> Motion:
         """Return the motion with its time law, the ends of its curve fitted where the robot moves there.
@@ -102,8 +113,8 @@ class PlanTimer:
         settings = self.settings
         weak = replace(motion, law=law, robot=replace(motion.robot, effort=settings.torque_share * motion.robot.effort))
         law = slow_until_zmp_inside(weak, reserve_m=settings.zmp_reserve_m, settled=self.settled)
-        paced = [(pace.first, pace.last) for pace in self.paces if pace.limits]
-        law = slow_until_grips_hold(motion, slow_to_speeds(motion, law, self.speeds), [*self.settled, *paced])
+        law = slow_to_speeds(motion, law, self.speeds)
+        law = slow_until_grips_hold(motion, law, [*self.settled, *self.given])
         return keep_durations(law, self.paces)
 
     def _time_moving(self, motion: Motion) -> Motion:
@@ -150,9 +161,9 @@ def _fit_ends(curve: Curve, rates: Float[np.ndarray, "2 n"], speeds: Float[np.nd
     return replace(curve, tangents=tangents)
 
 
-def _list_stretches(plan: TaskPlan, borders: Sequence[float]) -> list[list[tuple[PlannedPhase, float, float]]]:
+def _list_stretches(plan: TaskPlan, borders: Sequence[float]) -> list[Stretch]:
     """Return the phases between two rests, each with its path parameters."""
-    stretches: list[list[tuple[PlannedPhase, float, float]]] = []
+    stretches: list[Stretch] = []
     is_open = False
     for phase, (first, last) in zip(plan.phases, pairwise(borders), strict=True):
         if is_open:
@@ -161,6 +172,14 @@ def _list_stretches(plan: TaskPlan, borders: Sequence[float]) -> list[list[tuple
             stretches.append([(phase, first, last)])
         is_open = phase.flows
     return stretches
+
+
+def _list_ends(stretches: Iterable[Stretch]) -> tuple[tuple[float, float], ...]:
+    return tuple((parts[0][1], parts[-1][2]) for parts in stretches)
+
+
+def _has_law(phase: PlannedPhase) -> bool:
+    return phase.kept is not None and phase.kept.law is not None
 
 
 def _list_speeds(

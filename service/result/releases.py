@@ -22,6 +22,12 @@ def list_releases(result: Mapping[str, Any]) -> dict[str, str]:
     return released
 
 
+def list_held(result: Mapping[str, Any]) -> list[str]:
+    """Return the objects that hands hold when a plan begins, from its parsed ``result.json``."""
+    first: Mapping[str, Any] = next(iter(result.get("phases") or ()), {})
+    return [str(carrier["object"]) for carrier in first.get("carriers") or () if carrier["link"] is not None]
+
+
 def describe_releases(released: Mapping[str, str]) -> str:
     """Return what a plan lets go, as a phrase."""
     return " and ".join(f"'{name}' in phase '{phase}'" for name, phase in released.items())

@@ -78,7 +78,9 @@ from service.verify.forces.dynamics import (
 from service.verify.forces.frame_speeds import (
     FrameSpeed,
     list_frame_speeds,
+    list_press_speeds,
     list_tools,
+    measure_rates,
 )
 from service.verify.forces.hand_balance import (
     LEAST_APART_M,
@@ -316,6 +318,7 @@ __all__ = [
     "list_offsets",
     "list_phases",
     "list_position_demands",
+    "list_press_speeds",
     "list_sample_times",
     "list_tools",
     "list_waived_checks",
@@ -328,6 +331,7 @@ __all__ = [
     "measure_excess",
     "measure_jerks",
     "measure_lean",
+    "measure_rates",
     "measure_rests",
     "measure_retreat",
     "measure_timed_peaks",

@@ -11,7 +11,7 @@ from service.errors import ExecutionError
 from service.execution.balance import PlannedBalance
 from service.execution.guards import Finding, Severity
 from service.execution.machine import FREE_S, ExecutionMachine, MachineSettings, MachineState, Mode, Order
-from service.verify import Phase, PlantedContact
+from service.verify import Carrier, Phase, PlantedContact
 
 PERIOD = 1e-2
 ENDS = (1.0, 1.8, 3.0)
@@ -141,10 +141,15 @@ def test_an_abort_out_of_balance_goes_back_to_the_last_pose_in_balance(at):
     check_smooth(states, machine.settings)
 
 
-def test_an_abort_does_not_take_hold_again_of_what_a_hand_let_go():
+@pytest.mark.parametrize("is_object", [False, True])
+def test_an_abort_neither_takes_hold_again_of_what_a_hand_let_go_nor_lets_go_what_it_took(is_object):
     balance = balance_of(lambda t: 0.1 if t <= 0.5 else 0.02 - 0.01 * abs(t - 2.5))
-    first = replace(balance.phases[0], contacts=(*balance.phases[0].contacts, planted("r_hand", 0.2)))
-    balance = replace(balance, phases=(first, *balance.phases[1:]))
+    first, *others = balance.phases
+    if is_object:
+        others = [replace(phase, carriers=(Carrier("cup", "r_hand"),)) for phase in others]
+    else:
+        first = replace(first, contacts=(*first.contacts, planted("r_hand", 0.2)))
+    balance = replace(balance, phases=(first, *others))
     states = run(ExecutionMachine(PHASES, balance), {2.8: Order.ABORT})
     assert states[-1].mode is Mode.ABORTED
     assert states[-1].time_s == pytest.approx(2.5, abs=2e-3)

@@ -113,7 +113,7 @@ def test_an_abort_where_the_margin_is_thin_goes_back_to_a_pose_with_more(referen
     check_command(reference, cycles)
 
 
-@pytest.mark.parametrize(("at", "link"), [(1.0, "r_hand"), (5.0, "l_foot")])
+@pytest.mark.parametrize(("at", "link"), [(1.0, "r_hand"), (5.0, "r_hand")])
 def test_a_target_displaced_in_every_phase_is_reached_without_a_jump(reference, at, link):
     offset = np.array([0.008, -0.006, 0.01])
     report, cycles = collect(start(reference), [Action(at, link=link, offset=offset)])
@@ -122,6 +122,24 @@ def test_a_target_displaced_in_every_phase_is_reached_without_a_jump(reference, 
     planned = place(reference, last.wanted.configuration, link)
     np.testing.assert_allclose(place(reference, last.command.q, link) - planned, offset, atol=1.5e-3)
     check_command(reference, cycles)
+
+
+def test_what_carries_the_robot_is_not_shifted_and_a_foot_that_lands_stays_where_it_is(landing):
+    begin = BORDER_S - 0.3
+    execution = Execution(landing, KinematicRobot(landing.joint_names, landing.at(begin).q, PERIOD), None, begin)
+    press(execution.driver, l_foot=0.5 * WEIGHT, r_foot=0.5 * WEIGHT)
+    with pytest.raises(ExecutionError, match="l_foot carries the robot in 'bend'; it can be shifted while it moves"):
+        execution.shift("l_foot", np.array([0.1, 0.0, 0.0]))
+    execution.shift("r_foot", np.array([0.1, 0.0, 0.0]))
+    offsets = []
+    while len(offsets) < 60:
+        execution.step()
+        offsets.append((execution.state.phase, float(execution.shifts["r_foot"].offset[0])))
+    landed = [offset for phase, offset in offsets if phase == 1]
+    assert 0.005 < landed[0] < 0.05
+    assert landed == landed[:1] * len(landed)
+    with pytest.raises(ExecutionError, match="r_foot carries the robot"):
+        execution.shift("r_foot", np.zeros(3))
 
 
 def rest_of(motion: Motion, q):

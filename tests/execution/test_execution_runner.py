@@ -109,7 +109,7 @@ def loaded(reference, monkeypatch):
 )
 def test_an_order_is_answered_after_the_state_that_it_led_to(loaded, last, mode_then, reason):
     service = Service(holds_alone=True)
-    assert service.status["mode"] == "idle"
+    assert (service.status["mode"], service.status["held"]) == ("idle", [])
     answer = service.execute(waits_for_start=True)
     assert (answer["error"], answer["trajectory_sha256"]) == ("", loaded.trajectory_sha256)
     assert (service.status["mode"], service.status["last_order"]) == ("ready", "execute by ann")

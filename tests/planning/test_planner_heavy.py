@@ -133,7 +133,7 @@ def test_a_law_that_moves_the_object_faster_than_its_loads_assume_is_refuted(dra
     motion = drawer[0].motion
     assert motion is not None
     assert motion.law is not None
-    hasty = TimeLaw(0.5 * motion.law.times, motion.law.path, 2.0 * motion.law.speed)
+    hasty = TimeLaw(0.1 * motion.law.times, motion.law.path, 10.0 * motion.law.speed)
     strong = motion.robot.acceleration.copy()
     strong[:-1] *= 100.0  # of the robot itself
     certificate = verify(replace(motion, law=hasty, robot=replace(motion.robot, acceleration=strong)))

@@ -176,4 +176,7 @@ def test_a_plan_that_lets_go_of_something_needs_its_own_confirmation() -> None:
         with pytest.raises(Refusal, match="lets go of 'drill' in phase 'put down'; name what may be let go"):
             check_releases({"phases": phases}, confirmed)
     check_releases({"phases": phases}, ["drill"])
-    check_releases({"phases": phases[:1]}, [])
+    check_releases({"phases": phases[:1]}, [], held=["drill"])
+    with pytest.raises(Refusal, match="the robot holds 'drill', and the plan does not begin with that in a hand"):
+        check_releases({"phases": phases[1:]}, [], held=["drill"])
+    check_releases({"phases": phases[1:]}, ["drill"], held=["drill"])

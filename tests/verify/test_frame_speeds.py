@@ -17,6 +17,7 @@ from costs.curve import Curve, TimeLaw
 from costs.robot import RobotModel
 from costs.scene import Scene
 from service.errors import RequestError
+from service.motion.jams import list_cheap_speeds, list_jam_notes
 from service.motion.slowing import slow_to_speeds
 from service.motion.timing import time_curve
 from service.planner import plan
@@ -116,6 +117,29 @@ def test_a_hand_that_moves_a_mechanism_is_as_slow_as_one_that_may_find_it_jammed
     most = limit_approach(limit, still.approach)
     assert pressing == FrameSpeed("pressing.open.l_tool", "l_tool", 0.5, 1.0, most)
     assert (approach.name, approach.last, approach.most) == ("approach.reach.l_tool", 0.5, most)
+
+
+def test_without_a_pace_short_pushes_are_slow_and_a_note_names_the_others() -> None:
+    still = motion_of(np.zeros((3, 2)))
+    load = HandLoad("l_tool", "leaf", np.array([0.0, 0.8, 1.0]), np.array([20.0, 0.0, 0.0]))
+    phases = (Phase("reach", 0.0, 1.0), Phase("open", 1.0, 2.0, loads=(load,)))
+    law = TimeLaw(np.arange(3.0), np.arange(3.0), np.ones(3))
+
+    def turn(angle: float, **changes: object) -> Motion:
+        q = np.array(still.curve.positions)
+        q[2, still.robot.joint_names.index("l_arm_elx")] += angle
+        curve = Curve(still.curve.knots, q, np.vstack([np.zeros((1, q.shape[1])), np.diff(q, axis=0)]))
+        return replace(still, curve=curve, phases=phases, law=law, **changes)
+
+    slow = Approach(reaction_s=2.5)
+    names = ["pressing.open.l_tool", "approach.reach.l_tool"]
+    assert [speed.name for speed in list_cheap_speeds(turn(0.02, approach=slow))] == names
+    assert [speed.name for speed in list_cheap_speeds(turn(1.0, approach=slow))] == names[1:]
+    assert list_cheap_speeds(turn(0.02, pace="fast")) == ()
+    assert list_jam_notes(turn(0.001)) == list_jam_notes(turn(1.0, pace="fast")) == ()
+    (note,) = list_jam_notes(turn(1.0))
+    assert note.startswith("l_tool moves at up to 0.")
+    assert "in phase 'open': if what it pushes jams, it presses with about" in note
 
 
 def test_a_plan_keeps_tool_speed_and_pace_of_its_request_and_no_others() -> None:

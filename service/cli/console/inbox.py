@@ -19,7 +19,7 @@ from service.errors import RequestError, ServiceError
 from service.proto.planner.v1.planner_pb2 import Decision, PlanRecord, PlanState, PlanSummary
 from service.proto.planner.v1.result_pb2 import VERDICT_UNSPECIFIED, Verdict
 from service.result.folder import RESULT_NAME, VIEWER_NAME
-from service.result.releases import list_releases
+from service.result.releases import list_held, list_releases
 
 MOST_LISTED = 30
 MOST_SCENES = 500  # among which that of a plan is looked for
@@ -65,6 +65,7 @@ async def open_plan(session: OperatorSession, plan_id: str) -> dict[str, Any]:
         **judge_plan(record),
         "has_page": page is not None,
         "releases": releases,
+        "holds": list_held(result),
         "scan_age_s": await _find_scan_age_s(session.client, record, result.get("request", {}).get("scene", {})),
     }
 

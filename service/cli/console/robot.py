@@ -303,6 +303,7 @@ def describe_state(state: WatchResponse) -> dict[str, Any]:
         "speed": status.speed,
         "last_order": status.last_order,
         "shifts": {shift.link: list(shift.offset_m) for shift in status.shifts},
+        "held": list(status.held),
         "plan_id": plan.plan_id,
         "trajectory_sha256": plan.trajectory_sha256,
         "duration_s": plan.duration_s,

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from service.errors import shown
-from service.result.releases import describe_releases, list_releases
+from service.result.releases import describe_releases, list_held, list_releases
 from service.server.operation.control import refuse
 from service.store import Decision, NotStoredError, PlanRecord, PlanState, Review, Store
 
@@ -106,12 +106,24 @@ def check_scan_age(age_s: float | None, limit_s: float, accepted_s: float | None
         )
 
 
-def check_releases(result: Mapping[str, Any], confirmed: Sequence[str]) -> None:
+def check_releases(result: Mapping[str, Any], confirmed: Sequence[str], held: Sequence[str] = ()) -> None:
     """Check that the operator has confirmed every object that hands let go.
+
+    Args:
+        result: of the plan.
+        confirmed: objects that hands may let go.
+        held: objects that the robot's hands hold now; a plan that does not begin with them in a hand may open it.
 
     Raises:
         Refusal: FAILED_PRECONDITION with a sentence.
     """
+    known = {*list_held(result), *confirmed}
+    forgotten = [shown(name) for name in held if name not in known]
+    if forgotten:
+        raise refuse(
+            f"lets_go: the robot holds {' and '.join(forgotten)}, and the plan does not begin with that in a hand; "
+            "plan with a step 'hold' first, or name what may be let go to confirm that the hand may open"
+        )
     released = list_releases(result)
     open_ones = {name: phase for name, phase in released.items() if name not in confirmed}
     if open_ones:

@@ -127,7 +127,7 @@ class ExecutionHandlers:
         check_approval(record.plan_id, reviews, message.approval, is_required, now, is_direct=record.kind == DIRECT)
         files = await asyncio.to_thread(read_files, self._store, record.plan_id)
         result = read_result_json(files)
-        check_releases(result, message.lets_go)
+        check_releases(result, message.lets_go, () if message.is_placed else robot.state.status.get("held", ()))
         age_s = find_scan_age_s(result, record, self._store, now)
         accepted = message.accepted_scan_age_s if message.HasField("accepted_scan_age_s") else None
         check_scan_age(age_s, self._settings.scan_age_s, accepted)

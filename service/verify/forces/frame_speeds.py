@@ -88,32 +88,38 @@ def list_frame_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpe
             for tool in list_tools(motion.robot)
         ]
     if motion.pace is not None:
-        parts = list(zip(split_motion(replace(motion, phases=tuple(phases))), phases, strict=True))
+        speeds += list_press_speeds(motion, phases)
+    return tuple(speeds)
+
+
+def list_press_speeds(motion: Motion, phases: Sequence[Phase]) -> tuple[FrameSpeed, ...]:
+    """Return the largest speeds at which hands may press, and come to what they press, so that no jam exceeds a cap."""
+    parts = list(zip(split_motion(replace(motion, phases=tuple(phases))), phases, strict=True))
+    speeds = [
+        FrameSpeed(
+            f"pressing.{phase.name}.{limit.tool}",
+            limit.tool,
+            phase.first,
+            phase.last,
+            limit_approach(limit, motion.approach),
+        )
+        for part, phase in parts
+        for limit in limit_loads(part, phase)
+    ]
+    for (_, before), (part, after) in pairwise(parts):
+        pressing = {find_loaded_hand(before, load) for load in before.loads}
         speeds += [
             FrameSpeed(
-                f"pressing.{phase.name}.{limit.tool}",
+                f"approach.{before.name}.{limit.tool}",
                 limit.tool,
-                phase.first,
-                phase.last,
+                before.first,
+                before.last,
                 limit_approach(limit, motion.approach),
+                NEAR_M,
             )
-            for part, phase in parts
-            for limit in limit_loads(part, phase)
+            for limit in limit_loads(part, after)
+            if limit.tool not in pressing
         ]
-        for (_, before), (part, after) in pairwise(parts):
-            pressing = {find_loaded_hand(before, load) for load in before.loads}
-            speeds += [
-                FrameSpeed(
-                    f"approach.{before.name}.{limit.tool}",
-                    limit.tool,
-                    before.first,
-                    before.last,
-                    limit_approach(limit, motion.approach),
-                    NEAR_M,
-                )
-                for limit in limit_loads(part, after)
-                if limit.tool not in pressing
-            ]
     return tuple(speeds)
 
 

@@ -23,7 +23,9 @@ from service.work.robot.robot import Robot
 POSE_PERIOD_S = 0.02  # between two reports of a pose
 IDLE_WAIT_S = 0.05  # for orders while nothing is carried out
 ORDERS = {order.value: order for order in Order}
-IDLE = {"mode": "idle", "phase": "", "reason": "", "findings": [], "speed": 1.0, "last_order": "", "shifts": {}}
+IDLE: Mapping[str, Any] = {
+    "mode": "idle", "phase": "", "reason": "", "findings": [], "speed": 1.0, "last_order": "", "shifts": {}, "held": [],
+}  # fmt: skip
 Message = Mapping[str, Any]
 
 
@@ -248,6 +250,7 @@ class Runner:
                 "reason": "" if is_ready else state.reason,
                 "speed": execution.machine.settings.speed,
                 "shifts": {link: shift.goal.tolist() for link, shift in execution.shifts.items() if shift.goal.any()},
+                "held": [part.item for part in execution.reference.motion.phases[state.phase].carriers if part.link],
             }
             if execution.is_lost:
                 status["mode"] = "lost"

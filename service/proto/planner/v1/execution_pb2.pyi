@@ -151,7 +151,7 @@ class WatchResponse(_message.Message):
     def __init__(self, revision: _Optional[int] = ..., is_snapshot: bool = ..., time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., status: _Optional[_Union[ExecutionStatus, _Mapping]] = ..., plan: _Optional[_Union[LoadedPlan, _Mapping]] = ..., control: _Optional[_Union[ControlHolder, _Mapping]] = ..., pose: _Optional[_Union[RobotPose, _Mapping]] = ...) -> None: ...
 
 class ExecutionStatus(_message.Message):
-    __slots__ = ("mode", "phase", "reason", "findings", "speed", "last_order", "shifts")
+    __slots__ = ("mode", "phase", "reason", "findings", "speed", "last_order", "shifts", "held")
     MODE_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
@@ -159,6 +159,7 @@ class ExecutionStatus(_message.Message):
     SPEED_FIELD_NUMBER: _ClassVar[int]
     LAST_ORDER_FIELD_NUMBER: _ClassVar[int]
     SHIFTS_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
     mode: ExecutionMode
     phase: str
     reason: str
@@ -166,7 +167,8 @@ class ExecutionStatus(_message.Message):
     speed: float
     last_order: str
     shifts: _containers.RepeatedCompositeFieldContainer[ShiftedTarget]
-    def __init__(self, mode: _Optional[_Union[ExecutionMode, str]] = ..., phase: _Optional[str] = ..., reason: _Optional[str] = ..., findings: _Optional[_Iterable[str]] = ..., speed: _Optional[float] = ..., last_order: _Optional[str] = ..., shifts: _Optional[_Iterable[_Union[ShiftedTarget, _Mapping]]] = ...) -> None: ...
+    held: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, mode: _Optional[_Union[ExecutionMode, str]] = ..., phase: _Optional[str] = ..., reason: _Optional[str] = ..., findings: _Optional[_Iterable[str]] = ..., speed: _Optional[float] = ..., last_order: _Optional[str] = ..., shifts: _Optional[_Iterable[_Union[ShiftedTarget, _Mapping]]] = ..., held: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ShiftedTarget(_message.Message):
     __slots__ = ("link", "offset_m")

@@ -18,7 +18,7 @@ export interface Risk {
 export interface Group { phase: string; open: number[]; passed: number[] }
 export interface Plan extends ReviewedRow {
   explanation: string[]; checks: JudgedCheck[]; risks: Risk[]; assumed: string[]; not_checked: string[]; groups: Group[];
-  duration_s: number | null; planning_time_s: number; has_page: boolean; releases: Record<string, string>; scan_age_s: number | null;
+  duration_s: number | null; planning_time_s: number; has_page: boolean; releases: Record<string, string>; holds: string[]; scan_age_s: number | null;
 }
 export interface Physics { verdict: string; explanation: string[] }
 export interface Job {
@@ -39,7 +39,7 @@ export interface RobotState {
   is_there: boolean; problem: string; surprises: string[]; has_control: boolean; revision: number; mode: string; phase: string; reason: string;
   findings: string[]; speed: number; last_order: string; plan_id: string; trajectory_sha256: string; duration_s: number; clock_s: number;
   control: string; farthest: { joint: string; off: number } | null; joint_names: string[]; phases: string[]; base: number[]; positions: number[];
-  shifts: Record<string, number[]>; shiftable: string[];
+  shifts: Record<string, number[]>; shiftable: string[]; held: string[];
 }
 export interface ScanCloud extends ScanRow { cloud: Quantized }
 export interface Unseen { cells: Quantized }

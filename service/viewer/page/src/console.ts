@@ -275,26 +275,36 @@ class ConsolePage {
       setTimeout(() => { if (accepted === ticked) [old.checked, accepted] = [false, null]; }, 1000 * COMPARED_S);
     });
     // An object is let go only once its own box is ticked: no hand opens by the way.
-    const releases = Object.entries(plan.releases).map(([name, phase]) => {
+    const mayOpen = (name: string, text: string): { name: string; box: HTMLInputElement; label: HTMLElement } => {
       const box = el("input");
       box.type = "checkbox";
       box.addEventListener("change", () => refresh());
-      return { name, box, label: el("label", "placed lets-go", box, ` the hand may let go of ${name} in ${words(phase)}`) };
-    });
+      return { name, box, label: el("label", "placed lets-go", box, text) };
+    };
+    const releases = Object.entries(plan.releases).map(([name, phase]) => mayOpen(name, ` the hand may let go of ${name} in ${words(phase)}`));
+    // What the robot holds and this plan does not begin with in a hand; a simulated robot that is put at the start holds nothing.
+    const others = el("div");
+    const forgotten = (): string[] => (placed.checked ? [] : (this.robot.state?.held ?? []).filter((name) => !plan.holds.includes(name)));
+    let dropped: typeof releases = [];
     const go = button("yes", "Execute", "Have the robot carry out exactly this motion", () => void this.robot.order("execute", {
       plan_id: plan.plan_id, trajectory_sha256: plan.trajectory_sha256, revision: this.robot.revision, is_placed: placed.checked,
-      scan_age_s: accepted, lets_go: releases.filter(({ box }) => box.checked).map(({ name }) => name),
+      scan_age_s: accepted, lets_go: [...releases, ...dropped].filter(({ box }) => box.checked).map(({ name }) => name),
     }));
     const why = el("p", "soft");
-    const part = section("Robot", why, ...releases.map(({ label }) => label), el("label", "placed", placed, " put a simulated robot at the start first"),
+    const part = section("Robot", why, ...releases.map(({ label }) => label), others, el("label", "placed", placed, " put a simulated robot at the start first"),
       ...(plan.scan_age_s === null ? [] : [el("label", "placed", old, age)]), el("div", "buttons", go));
     const refresh = (): void => {
       part.hidden = !this.robot.state?.is_there;
-      const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : releases.some(({ box }) => !box.checked) ? "confirm what the hand lets go first" : "";
+      if (forgotten().join() !== dropped.map(({ name }) => name).join()) {
+        dropped = forgotten().map((name) => mayOpen(name, ` the robot holds ${name}, which this plan does not know; the hand may let go of it`));
+        others.replaceChildren(...dropped.map(({ label }) => label));
+      }
+      const reason = !judge.isAccepted ? "accept the plan first" : !this.robot.state?.has_control ? "take control of the robot first" : !this.robot.mayOrder ? "acknowledge what changed first" : [...releases, ...dropped].some(({ box }) => !box.checked) ? "confirm what the hand lets go first" : "";
       go.disabled = reason !== "";
       why.textContent = reason;
     };
     this.robot.onState = judge.onDecision = refresh;
+    placed.addEventListener("change", () => refresh());
     refresh();
     return part;
   }
