@@ -207,20 +207,6 @@ def test_two_parts_are_pressed_in_one_plan() -> None:
     np.testing.assert_allclose(ends, [[0.0, 0.0], [0.008, 0.008]], atol=1e-3)
 
 
-def test_a_gripper_presses_by_the_ends_of_its_closed_fingers() -> None:
-    press = {"at": [0.74, -0.25, 1.2], "normal": [-1, 0, 0], "force_n": 15, "travel_m": 0.008, "height_m": 0.02}
-    robot = {"name": "atlas", "hand": "gripper"}
-    result = plan_steps([{"press": press}], robot=robot, start={"posture": "reach_ready"})
-    assert result.verdict is Verdict.CERTIFIED, result.explanation
-    motion = result.motion
-    assert motion is not None
-    phase = next(phase for phase in motion.phases if phase.pushes)
-    assert {contact.frame for push in phase.pushes for contact in push.contacts} <= {"r_finger_1", "r_finger_2"}
-    grips = [motion.robot.joint_names.index(name) for name in ("r_grip_1", "r_grip_2")]
-    during = motion.curve(np.linspace(phase.first, phase.last, 9))[:, grips]
-    np.testing.assert_allclose(during, 0.0, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("step", "problem"),
     [

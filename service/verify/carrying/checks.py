@@ -131,7 +131,7 @@ def _check_grips(
     grip = min(grip.force_n for grip in carrier.grips)
     what = f"{item.name} of {item.inertia.mass:g} kg during {phase.name}"
     if held.loads:
-        force = float(np.linalg.norm(np.sum([load.force for load in held.loads], axis=0)))
+        force = sum(measure_most(load) for load in held.loads)
         what = f"{item.name} of {item.inertia.mass:g} kg, which presses with up to {force:.3g} N, during {phase.name}"
     text = f"{hands} hold {what} with {100.0 * weighed.bound:.0f} % of {grip:g} N"
     failure = f"{hands} do not hold {what}: {_describe_need(weighed.sampled, grip)}"
