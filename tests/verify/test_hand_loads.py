@@ -85,9 +85,9 @@ def test_a_tool_s_force_in_any_direction_across_it_is_in_the_hull_of_its_corners
     corners = np.vstack([np.zeros(6), list_load_wrenches(motion_of(np.zeros((2, 2))), (load,), 0.0, 1.0)])
     force = share * load.force + across * 8.0 * np.array([0.0, np.cos(turn), np.sin(turn)])
     point = load.place + along * load.slide
-    wrench = np.concatenate([force, np.cross(point, force) + [0.5 * twist, 0.0, 0.0]])
+    wrench = np.concatenate([force, np.cross(point, force) + 0.5 * twist * np.eye(3)[0]])
     assert _distance(-wrench, corners) < 1e-6
-    beyond = np.concatenate([np.zeros(3), [0.6, 0.0, 0.0]])
+    beyond = np.array([0.0, 0.0, 0.0, 0.6, 0.0, 0.0])
     assert _distance(-beyond, corners) > 1e-3
 
 
