@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.verify import Motion, Status, verify
 
+DOORWAY = Path(__file__).resolve().parents[2] / "examples" / "data" / "doorway.urdf"
 WALL = {"name": "wall", "type": "box", "size": [0.1, 2.0, 2.4], "position": [0.85, 0.0, 1.2]}
 ARM = {"r_arm_elx": -1.2, "r_arm_ely": 1.8}
 
@@ -205,6 +207,24 @@ def test_two_parts_are_pressed_in_one_plan() -> None:
     assert result.motion.robot.joint_names[-2:] == ("press_1", "press_2")
     ends = result.motion.curve.positions[[0, -1], -2:]
     np.testing.assert_allclose(ends, [[0.0, 0.0], [0.008, 0.008]], atol=1e-3)
+
+
+def test_a_gripper_pushes_a_leaf_by_the_ends_of_its_closed_fingers() -> None:
+    handle = {"link": "leaf", "place": [-0.02, -0.8, 1.1], "axis": [1, 0, 0], "tool": "tip", "tilt_deg": 35}
+    mechanism = {
+        "urdf": str(DOORWAY), "position": [0.74, 0.55, 0], "joints": {"hinge": {"friction": 4}}, "handle": handle,
+        "hand": "right", "moves": [{"joint": "hinge", "to": 0.4}],
+    }  # fmt: skip
+    robot = {"name": "atlas", "hand": "gripper"}
+    result = plan_steps([{"mechanism": mechanism}], robot=robot, start={"posture": "reach_ready"})
+    assert result.verdict is Verdict.CERTIFIED, result.explanation
+    motion = result.motion
+    assert motion is not None
+    phase = next(phase for phase in motion.phases if phase.pushes)
+    assert {contact.frame for push in phase.pushes for contact in push.contacts} <= {"r_finger_1", "r_finger_2"}
+    grips = [motion.robot.joint_names.index(name) for name in ("r_grip_1", "r_grip_2")]
+    during = motion.curve(np.linspace(phase.first, phase.last, 9))[:, grips]
+    np.testing.assert_allclose(during, 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize(

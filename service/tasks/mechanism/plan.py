@@ -203,8 +203,8 @@ def _list_rod(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> Float[n
     """Return points along the middle of a hand's rod, or closed fingers, at the handle, in the handle's link [m]."""
     tool, place, axis = select_tool(given, hand), given.handle.place, given.handle.axis
     if hand.closed:
-        ends = np.array([hand.palm_m, hand.tip_m]) - measure_ahead(given, hand)
-        return np.asarray(place + np.linspace(*ends, ROD_POINTS)[:, None] * axis)
+        ahead = measure_ahead(given, hand)
+        return np.asarray(place + np.linspace(hand.palm_m - ahead, hand.tip_m - ahead, ROD_POINTS)[:, None] * axis)
     poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
     origin = poses[tool][:3, 3]
     first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
