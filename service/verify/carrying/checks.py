@@ -15,6 +15,7 @@ from service.verify.carrying.grasp import GRAVITY, GripBalance, Held
 from service.verify.carrying.stacks import Rest, RestingObject, measure_rests
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.dynamics import list_sample_times
+from service.verify.forces.hand_loads import measure_most
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.phase_proof import PhaseProof
 from service.verify.prepared_motion import PreparedMotion
