@@ -165,11 +165,26 @@ def _loads(replay: Replay, phase: dict[str, Any], s: float) -> list[Array]:
     choices = []
     for load in phase["loads"]:
         pose = data.oMf[replay.model.getFrameId(load["link"])]
-        force = -pose.rotation @ np.array(load["force_n"])
         slide = np.zeros(3) if load["slide"] is None else np.array(load["slide"])
         places = [pose.act(np.array(load["place"]) + side * slide) for side in ((-1, 1) if slide.any() else (0,))]
-        choices.append([np.zeros(6), *(np.concatenate([force, np.cross(place, force)]) for place in places)])
+        choices.append([np.zeros(6)])
+        for force, moment in _parts(load):
+            force, moment = -pose.rotation @ force, -pose.rotation @ moment
+            choices[-1] += [np.concatenate([force, np.cross(place, force) + moment]) for place in places]
     return [np.sum([np.zeros(6), *each], axis=0) for each in product(*choices)]
+
+
+def _parts(load: dict[str, Any]) -> list[tuple[Array, Array]]:
+    """Return forces and moments of a load: at its largest, and with the largest across it and about it."""
+    force = np.array(load["force_n"])
+    across, twist = load.get("across_n", 0.0), load.get("twist_nm", 0.0)
+    if not across and not twist:
+        return [(force, np.zeros(3))]
+    axis = force / np.linalg.norm(force)
+    x, y = np.linalg.svd(axis[None])[2][1:]
+    turns = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False) if across else [0.0]
+    sides = [across * (np.cos(turn) * x + np.sin(turn) * y) for turn in turns]
+    return [(s * force + side, sign * twist * axis) for s in (0.0, 1.0) for side in sides for sign in (-1.0, 1.0)]
 
 
 def _mix(wrench: Array, wrenches: Array) -> float:

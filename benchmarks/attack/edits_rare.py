@@ -406,3 +406,37 @@ def a_bar_that_the_first_hand_carries_to_the_end(folder: Folder) -> None:
     first = _carriers(folder, "up")
     for phase in ("give: open", "give: leave", "down"):
         _carriers(folder, phase)[:] = first
+
+
+@RARE_EDITS.lie("handle")
+def fingers_that_open_while_they_press(folder: Folder) -> None:
+    for joint in ("r_grip_1", "r_grip_2"):
+        _bulge(folder, joint, 0.03)
+
+
+@RARE_EDITS.lie("handle", level=HASHED)
+def a_lever_that_the_ends_of_fingers_press(folder: Folder) -> None:
+    _steps(folder)[0]["mechanism"]["handle"]["tool"] = "tip"
+
+
+@RARE_EDITS.lie("handle")
+def a_lever_that_springs_back_while_the_leaf_opens(folder: Folder) -> None:
+    column = _column(folder, "handle")
+    for row in folder.curve["positions"]:
+        row[column] = min(row[column], 0.3)
+
+
+@RARE_EDITS.lie("braced")
+def a_hand_that_has_let_go_and_still_bears(folder: Folder) -> None:
+    for phase in folder.phases:
+        phase["contacts"] = [contact for contact in phase["contacts"] if contact["link"] != "l_hook"]
+
+
+@RARE_EDITS.lie("braced", level=HASHED)
+def a_rail_that_is_farther_away(folder: Folder) -> None:
+    folder.request["scene"]["obstacles"][0]["position"][0] += 0.05
+
+
+@RARE_EDITS.lie("braced")
+def a_hand_on_a_rail_that_slides(folder: Folder) -> None:
+    _bulge(folder, "l_arm_elx", 0.05)

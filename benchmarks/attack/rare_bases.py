@@ -45,7 +45,9 @@ _CART = """<robot name="cart">
 <axis xyz="0 -1 0"/><limit lower="-2" upper="2" velocity="2" effort="60"/></joint></robot>"""
 PIN = {"name": "pin", "type": "box", "size": [0.012, 0.012, 0.2], "position": [0.16, 0.0, 0.0]}
 PILLAR = {"name": "pillar", "type": "cylinder", "radius": 0.15, "height": 2.0, "position": [1.0, 0.05, 1.0]}
-LEAF = Path(__file__).resolve().parents[2] / "examples" / "data" / "doorway.urdf"
+LEAF, LEVER = (
+    Path(__file__).resolve().parents[2] / "examples" / "data" / name for name in ("doorway.urdf", "entrance.urdf")
+)
 
 
 def make_mujoco(folder: Path) -> dict[str, Any]:
@@ -156,11 +158,41 @@ def make_two_pushes(folder: Path) -> dict[str, Any]:
         "handle": {"link": "leaf", "place": [-0.02, -0.8, 1.1], "axis": [1, 0, 0], "tool": "tip", "tilt_deg": 35.0},
         "hand": "right",
     }
-    steps = [{"mechanism": {**push, "moves": [{"joint": "hinge", "to": to}]}} for to in (0.15, 0.3)]
+    return _make_steps([{"mechanism": {**push, "moves": [{"joint": "hinge", "to": to}]}} for to in (0.15, 0.3)])
+
+
+def make_lever_of_door(folder: Path) -> dict[str, Any]:
+    """Return a request to press a door's lever with the sides of closed fingers, and to open its leaf with the palm."""
+    handle = {
+        "link": "lever", "place": [-0.095, 0.1, 0.02], "axis": [1, 0, 0], "tool": "stub", "tilt_deg": 10.0,
+        "approach": [-0.12, 0, 0.03],
+    }  # fmt: skip
+    mechanism = {
+        "urdf": str(LEVER),
+        "position": [0.74, 0.55, 0.0],
+        "joints": {"hinge": {"friction": 4.0}, "handle": {"preload": 2.0}},
+        "releases": [{"joint": "hinge", "latch": "handle", "at": 0.6}],
+        "handle": handle,
+        "moves": [{"joint": "handle", "to": 0.65}, {"joint": "hinge", "to": 0.2}, {"joint": "handle", "to": 0.0}],
+        "hand": "right",
+    }
+    return _make_steps([{"mechanism": mechanism}], hand="gripper")
+
+
+def make_braced(folder: Path) -> dict[str, Any]:
+    """Return a request to hook the left hand behind a rail, and to press hard with the right one."""
+    rail = {"name": "rail", "type": "box", "size": [0.04, 0.5, 0.04], "position": [0.6, 0.5, 1.05]}
+    hook = {"name": "hook", "make": {"left_hook": {"surface": "rail", "at": [0.62, 0.35, 1.05]}}}
+    brace = {"surfaces": {"rail": {"piece": "rail", "normal": [1, 0, 0]}}, "stances": [hook]}
+    press = {"at": [0.74, -0.25, 1.2], "normal": [-1, 0, 0], "force_n": 300.0, "travel_m": 0.02, "hand": "right"}
+    return _make_steps([{"name": "brace", "contacts": brace}, {"name": "shove", "press": press}], rail)
+
+
+def _make_steps(steps: list[dict[str, Any]], *obstacles: dict[str, Any], hand: str = "hook") -> dict[str, Any]:
     return {
-        "robot": {"name": "atlas"},
+        "robot": {"name": "atlas", "hand": hand},
         "start": {"posture": "reach_ready"},
-        "scene": {"floor": True, "obstacles": []},
+        "scene": {"floor": True, "obstacles": list(obstacles)},
         "task": {"steps": steps},
     }
 
@@ -182,4 +214,6 @@ RARE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "beam": make_beam,
     "pushes": make_two_pushes,
     "handover": make_hand_over,
+    "handle": make_lever_of_door,
+    "braced": make_braced,
 }

@@ -300,7 +300,12 @@ class WholeBody:
     @property
     def is_on_feet(self) -> bool:
         """Whether it stands, in balance, on its feet as they are at the start, and not on contacts that change."""
-        return self.touches is None and (self.polygon is not None or self.region is not None)
+        return self.touches is None and self.is_balanced
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether it stands in balance, on whatever contacts."""
+        return self.polygon is not None or self.region is not None
 
     def drift(self) -> float:
         """Return the largest residual of a hold between waypoints [m, rad]."""

@@ -27,8 +27,9 @@ class Hand:
         fingers: links of the two fingers, which slide along the palm's x axis and against it.
         grips: joints of the fingers, 0 where the pads meet in the middle.
         peg_radius: half the rod's thickness [m].
-        closed: joints of a gripper that pushes by its fingers' ends, and their values there; none of a rod [m].
-        tip_m: of those ends before ``tool`` [m].
+        closed: joints of a gripper that pushes by its closed fingers, and their values there; none of a rod [m].
+        tip_m, palm_m: of their ends, and of the hand's front between them, before ``tool`` [m].
+        flank: (3,) direction in ``tool`` of the side by which they push.
     """
 
     side: Literal["left", "right"]
@@ -43,11 +44,13 @@ class Hand:
     peg_radius: float = PEG_RADIUS
     closed: tuple[tuple[str, float], ...] = ()
     tip_m: float = 0.0
+    palm_m: float = 0.0
+    flank: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     @property
     def pushing_links(self) -> tuple[str, ...]:
         """The links by which the hand pushes."""
-        return self.fingers if self.closed else (self.hook, self.link)
+        return (*self.fingers, self.palm) if self.closed else (self.hook, self.link)
 
 
 def _make_hand(side: Literal["left", "right"]) -> Hand:

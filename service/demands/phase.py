@@ -52,6 +52,7 @@ class FrameMotion:
         way_lean_rad: largest lean of the tool's axis towards ``way`` or against it, at the waypoints.
         slide: (3,) in the link: the tool may be anywhere on ``place`` +- ``slide``; None where it may not slide [m].
         rotation: (3, 3) rotation_link_tool of a hand that cannot turn about its own axis; None where it can.
+        grips: whether fingers close around what is held, instead of pushing it while they are closed.
         tolerance_m: largest distance from the place along the whole curve.
         tilt_rad: largest angle between the tool's axis and ``axis`` along the whole curve.
         aim_rad: the same at the waypoints.
@@ -67,6 +68,7 @@ class FrameMotion:
     leaves: bool = False
     slide: Float[np.ndarray, "3"] | None = None
     rotation: Float[np.ndarray, "3 3"] | None = None
+    grips: bool = False
     tolerance_m: float = 5e-3
     tilt_rad: float = float(np.deg2rad(3.0))
     aim_rad: float = float(np.deg2rad(1.0))

@@ -165,13 +165,16 @@ def _write_load(load: HandLoad) -> dict[str, Any]:
         "force_n": load.force.tolist(),
         "slide": None if load.slide is None else load.slide.tolist(),
         "drift_m": load.drift_m,
+        "across_n": load.across_n,
+        "twist_nm": load.twist_nm,
     }
 
 
 def _read_load(data: Mapping[str, Any]) -> HandLoad:
     place, force = np.array(data["place"], dtype=float), np.array(data["force_n"], dtype=float)
     slide = None if data["slide"] is None else np.array(data["slide"], dtype=float)
-    return HandLoad(data["tool"], data["link"], place, force, slide, float(data["drift_m"]))
+    more = (float(data.get(name, 0.0)) for name in ("across_n", "twist_nm"))
+    return HandLoad(data["tool"], data["link"], place, force, slide, float(data["drift_m"]), *more)
 
 
 def _write_push(push: HandPush) -> dict[str, Any]:

@@ -178,7 +178,7 @@ class PhaseCompiler:
     def find_regions(self, spec: TaskPhase, values: Float[np.ndarray, "T k"]) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot under a phase's loads; none without loads or balance."""
         body = self.solver.body
-        if not spec.loads or not body.is_on_feet:
+        if not spec.loads or not body.is_balanced:
             return ()
         contacts = list(body.planted)
         return plan_regions(body.engine, contacts, spec.loads, values, body.nominal)

@@ -99,7 +99,7 @@ from service.verify.forces.hand_loads import (
     LoadCase,
     bound_coordinate,
     list_load_cases,
-    list_offsets,
+    list_world_wrenches,
     measure_retreat,
 )
 from service.verify.forces.linear_program import LinearProgram
@@ -315,13 +315,13 @@ __all__ = [
     "list_frame_speeds",
     "list_levers",
     "list_load_cases",
-    "list_offsets",
     "list_phases",
     "list_position_demands",
     "list_press_speeds",
     "list_sample_times",
     "list_tools",
     "list_waived_checks",
+    "list_world_wrenches",
     "make_coal_convex",
     "make_contact_share",
     "make_joints",

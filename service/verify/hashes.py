@@ -35,7 +35,7 @@ ADDED = {
         "PlantedContact.tilt_rad",
         "RelativePoseTarget.slide",
     ),
-    3: (),
+    3: ("HandLoad.across_n", "HandLoad.twist_nm"),
 }
 """Fields of promises by the format that brought them, ``CLASS.FIELD``; hashes of earlier formats are without them."""
 

@@ -308,12 +308,14 @@ class HandLoad:
     """A force that a hand exerts on a link of a mechanism, of any size between zero and the largest.
 
     Attributes:
-        tool: frame of the robot whose origin is where the force acts.
+        tool: frame of the robot that bears the force, at its origin or rigidly before it.
         link: the mechanism's link, which may turn.
         place: (3,) where it acts, in the link [m].
         force: (3,) the largest force on the link, in the link's axes [N].
         slide: (3,) in the link: it acts anywhere on ``place`` +- ``slide``, or None [m].
         drift_m: farthest that it acts from there [m].
+        across_n: largest force across ``force`` besides, in any direction, of a load on the world [N].
+        twist_nm: largest moment about ``force`` besides, in either sense, of a load on the world [N m].
     """
 
     tool: str
@@ -322,6 +324,8 @@ class HandLoad:
     force: Float[np.ndarray, "3"]
     slide: Float[np.ndarray, "3"] | None = None
     drift_m: float = HAND_DRIFT_M
+    across_n: float = 0.0
+    twist_nm: float = 0.0
 
 
 @dataclass(frozen=True)

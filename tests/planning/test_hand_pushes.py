@@ -11,19 +11,23 @@ from given_mechanisms import BAR, PEG, cabinet_request, drawer_request, latched_
 from shared_plans import plan_once, write_undrawn
 from tiny_robots import atlas
 
-from costs.robot import with_mechanism
+from costs.robot import load_robot, with_mechanism
 from service.demands.hands import HANDS
-from service.demands.holds.pushes import find_nominal_pushes
+from service.demands.holds.pushes import add_pushes, find_nominal_pushes
 from service.demands.mechanism.given import read_given_mechanism
 from service.demands.mechanism.phases import make_mechanism_phases
 from service.demands.mechanism.settling import settle_handle
+from service.demands.mechanism.tips import list_pushing_hands
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import load_request, parse_request
+from service.request.tasks.steps import StepsSection
 from service.result.result import Verdict
+from service.start.mechanism_file import inline_mechanisms
 
 FRICTION = (0.3, 0.6)
+ERRAND = Path(__file__).resolve().parents[2] / "examples" / "requests" / "errand.yaml"
 
 
 def mirror(request: dict[str, Any]) -> dict[str, Any]:
@@ -84,6 +88,24 @@ def test_a_tip_ends_inside_what_it_presses() -> None:
     spec = next(spec for spec in make_mechanism_phases(settled, HANDS["left"]) if spec.moving)
     (nominal,) = find_nominal_pushes(spec, augmented, given.mechanism, FRICTION)
     assert nominal.met[0].gap == pytest.approx(-1e-3, abs=2e-5)
+
+
+def test_a_gripper_presses_a_lever_with_the_side_of_its_closed_fingers_and_the_leaf_with_its_front() -> None:
+    """The fingers lie on the bar, whichever way the hand is turned about its own axis."""
+    section = inline_mechanisms(load_request(ERRAND)).section
+    assert isinstance(section, StepsSection)
+    given = read_given_mechanism(section.steps[1].mechanism)
+    robot = load_robot("atlas", hand="gripper")
+    augmented = with_mechanism(robot, given.mechanism.joints)
+    hands = list(list_pushing_hands(robot, given))
+    assert [hand.side for hand in hands] == ["right", "right"]
+    for hand, finger in zip(hands, ("r_finger_2", "r_finger_1"), strict=True):
+        settled = settle_handle(given, augmented, hand, FRICTION)
+        specs = add_pushes(make_mechanism_phases(settled, hand), augmented, given.mechanism, FRICTION)
+        press, opening = (spec for spec in specs if spec.name in ("move handle", "move hinge"))
+        assert [[contact.frame for contact in push.contacts] for push in press.pushes] == [[finger]]
+        assert [[contact.frame for contact in push.contacts] for push in opening.pushes] == [[finger], ["r_tool"]]
+        assert press.loads[0].force @ [0, 0, 1] == pytest.approx(-2.0 / 0.1, rel=0.05)
 
 
 @pytest.mark.parametrize(

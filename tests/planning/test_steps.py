@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from service.result.result import PlanResult, Verdict
 from service.setup.prepare import prepare
 from service.verify import Motion, Status, verify
 
+DOORWAY = Path(__file__).resolve().parents[2] / "examples" / "data" / "doorway.urdf"
 WALL = {"name": "wall", "type": "box", "size": [0.1, 2.0, 2.4], "position": [0.85, 0.0, 1.2]}
 ARM = {"r_arm_elx": -1.2, "r_arm_ely": 1.8}
 
@@ -207,10 +209,14 @@ def test_two_parts_are_pressed_in_one_plan() -> None:
     np.testing.assert_allclose(ends, [[0.0, 0.0], [0.008, 0.008]], atol=1e-3)
 
 
-def test_a_gripper_presses_by_the_ends_of_its_closed_fingers() -> None:
-    press = {"at": [0.74, -0.25, 1.2], "normal": [-1, 0, 0], "force_n": 15, "travel_m": 0.008, "height_m": 0.02}
+def test_a_gripper_pushes_a_leaf_by_the_ends_of_its_closed_fingers() -> None:
+    handle = {"link": "leaf", "place": [-0.02, -0.8, 1.1], "axis": [1, 0, 0], "tool": "tip", "tilt_deg": 35}
+    mechanism = {
+        "urdf": str(DOORWAY), "position": [0.74, 0.55, 0], "joints": {"hinge": {"friction": 4}}, "handle": handle,
+        "hand": "right", "moves": [{"joint": "hinge", "to": 0.4}],
+    }  # fmt: skip
     robot = {"name": "atlas", "hand": "gripper"}
-    result = plan_steps([{"press": press}], robot=robot, start={"posture": "reach_ready"})
+    result = plan_steps([{"mechanism": mechanism}], robot=robot, start={"posture": "reach_ready"})
     assert result.verdict is Verdict.CERTIFIED, result.explanation
     motion = result.motion
     assert motion is not None

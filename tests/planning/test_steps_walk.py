@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from service.demands import hold_to_request
 from service.demands.contacts.surfaces import FLOOR
-from service.demands.steps.holding import Holding
+from service.demands.phase import TaskPhase
+from service.demands.steps.holding import Holding, carry_along
 from service.demands.steps.moved import MovedParts
-from service.demands.steps.walking import plan_footsteps
+from service.demands.steps.walking import plan_footsteps, read_stances
 from service.errors import RequestError
 from service.planner import plan
 from service.replay.rebuild import make_setup_demands
@@ -149,6 +150,30 @@ def test_where_the_robot_stands_already_it_does_not_walk() -> None:
     result = plan(parse_request(request_of([{"name": "go", "walk": {"to": [0.0425, 0.0]}}])))
     assert result.verdict.value == "NOT_FOUND"
     assert "step 'go': walk: the robot stands there already" in " ".join(result.explanation)
+
+
+def test_a_hand_that_a_step_puts_on_a_rail_carries_the_robot_until_another_step_releases_it() -> None:
+    rail = {"name": "rail", "type": "box", "size": [0.04, 0.5, 0.04], "position": [0.6, 0.5, 1.05]}
+    hook = {"name": "hook", "make": {"left_hook": {"surface": "rail", "at": [0.62, 0.35, 1.05]}}}
+    steps: list[dict[str, Any]] = [
+        {"contacts": {"surfaces": {"rail": {"piece": "rail", "normal": [1, 0, 0]}}, "stances": [hook]}},
+        {"contacts": {"stances": [{"name": "off", "release": ["left_hook"]}]}},
+    ]
+    data = {**request_of(steps), "robot": {"name": "atlas"}, "scene": {"floor": True, "obstacles": [rail]}}
+    setup = prepare(parse_request(data))
+    section = setup.request.section
+    assert isinstance(section, StepsSection)
+    holding = Holding.of(section, setup.request, setup.robot, setup.scene)
+    on, _ = read_stances(holding, setup.scene, section.steps[0], "on", setup.start)
+    braced = holding.stand(setup.start, on[-1].contacts)
+    push = carry_along(TaskPhase("push"), braced)
+    assert push.contacts is not None
+    assert {contact.patch for contact in push.contacts} == {"left_foot", "right_foot", "left_hook"}
+    assert any(touch.first.link == "l_hook" and touch.second.body == "rail" for touch in push.touches)
+    off, _ = read_stances(braced, setup.scene, section.steps[1], "off", setup.start)
+    assert {contact.patch for contact in off[0].contacts} == {"left_foot", "right_foot", "left_hook"}
+    free = carry_along(TaskPhase("next"), braced.stand(setup.start, off[-1].contacts))
+    assert (free.contacts, free.touches) == (None, ())
 
 
 @cache

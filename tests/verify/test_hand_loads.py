@@ -18,7 +18,7 @@ from costs.scene import Scene
 from service.body.aims import Aims
 from service.body.forces.loaded_regions import plan_regions
 from service.body.whole_body import WholeBody
-from service.verify import HandLoad, VerifyError
+from service.verify import WORLD, HandLoad, VerifyError
 from service.verify.forces.equilibrium import RecordedRegion, prove_equilibrium
 from service.verify.forces.hand_loads import bound_coordinate, list_load_cases, list_load_wrenches, measure_retreat
 from service.verify.forces.loaded_balance import find_normals, place_contact_points
@@ -68,6 +68,27 @@ def test_every_load_on_a_stretch_is_in_the_hull_of_its_corners(
     cases = list_load_cases(motion.robot, q, (moved, press))
     wrench = sizes[0] * cases[2].wrench[0] + sizes[1] * cases[1].wrench[0]
     assert _distance(wrench, corners) < 1e-6
+
+
+@given(
+    share=st.floats(0.0, 1.0), along=st.floats(-1.0, 1.0), turn=st.floats(0.0, 6.3), across=st.floats(0.0, 1.0),
+    twist=st.floats(-1.0, 1.0),
+)  # fmt: skip
+@settings(max_examples=30, deadline=None)
+def test_a_tool_s_force_in_any_direction_across_it_is_in_the_hull_of_its_corners(
+    share: float, along: float, turn: float, across: float, twist: float
+) -> None:
+    """A drill that is pushed into a wall ahead, anywhere on a way of 20 cm, and cuts sideways."""
+    load = HandLoad(
+        "l_tool", WORLD, np.array([0.8, 0.1, 1.1]), np.array([15.0, 0.0, 0.0]), np.array([0.0, 0.1, 0.0]), 0.0, 8.0, 0.5
+    )
+    corners = np.vstack([np.zeros(6), list_load_wrenches(motion_of(np.zeros((2, 2))), (load,), 0.0, 1.0)])
+    force = share * load.force + across * 8.0 * np.array([0.0, np.cos(turn), np.sin(turn)])
+    point = load.place + along * load.slide
+    wrench = np.concatenate([force, np.cross(point, force) + 0.5 * twist * np.eye(3)[0]])
+    assert _distance(-wrench, corners) < 1e-6
+    beyond = np.array([0.0, 0.0, 0.0, 0.6, 0.0, 0.0])
+    assert _distance(-beyond, corners) > 1e-3
 
 
 def test_two_joints_that_move_at_once_cannot_be_followed() -> None:

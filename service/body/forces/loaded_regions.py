@@ -17,7 +17,7 @@ from costs.mechanism_wrench import list_arc_wrenches, list_slide_wrenches
 from costs.robot import RobotModel, read_joint_axis
 from costs.static_region import StaticRegion, find_static_region
 from costs.stopping import poll
-from service.verify import Ground, HandLoad, PlantedContact, find_tilts, list_offsets
+from service.verify import Ground, HandLoad, PlantedContact, find_tilts, list_world_wrenches
 
 LONGEST_STRETCH = np.deg2rad(45.0)  # of a revolute joint that one region covers
 STILL = 1e-9
@@ -90,11 +90,7 @@ def plan_world_region(
     """
     weight = measure_weight(robot)
     drift = max(contact.tolerance_m for contact in contacts)
-    corners = []
-    for load in loads:
-        slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
-        points = [load.place + slide + off for slide in slides for off in list_offsets(load)]
-        corners.append([np.concatenate([-load.force, np.cross(point, -load.force)]) for point in points])
+    corners = [list_world_wrenches(load) for load in loads]
     wrenches = [np.zeros(6)]
     for choice in product(*corners):
         for share in product((0.0, 1.0), repeat=len(loads)):

@@ -29,9 +29,19 @@ START_PATCHES = ("left_foot", "right_foot")
 
 
 def make_stances(
-    request: ContactsRequest, robot: RobotModel, scene: Scene, start: Float[np.ndarray, "n"]
+    request: ContactsRequest,
+    robot: RobotModel,
+    scene: Scene,
+    start: Float[np.ndarray, "n"],
+    standing: tuple[StanceContact, ...] = (),
 ) -> tuple[ContactStance, ...]:
     """Return the stance at the start and all that follow.
+
+    Args:
+        request: the section.
+        robot, scene: of the request.
+        start: (n,) configuration.
+        standing: contacts that an earlier step has made; none where the section says what the robot stands on.
 
     Raises:
         RequestError: one line per unknown patch or surface, contact off its surface, or two stances without a contact
@@ -40,7 +50,9 @@ def make_stances(
     if not robot.is_floating:
         raise RequestError("task.contacts: this robot's base is fixed; it needs no contacts")
     surfaces = make_surfaces(request.surfaces, scene, "task.contacts.surfaces")
-    held = _start_contacts(request, robot, scene, start, surfaces)
+    held = {contact.patch: contact for contact in standing}
+    if request.start or not standing:
+        held = _start_contacts(request, robot, scene, start, surfaces)
     stances = [ContactStance("start", tuple(held.values()))]
     problems: list[str] = []
     for index, stance in enumerate(request.stances):

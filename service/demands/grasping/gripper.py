@@ -32,6 +32,7 @@ class Gripper:
         force_n: largest force of a finger.
         tip, palm: positions of the fingers' ends and of the hand's front along z [m].
         pads: ends of the pads along z [m].
+        flank_m: of the fingers' sides from the middle, across ``closing`` [m].
     """
 
     side: str
@@ -48,6 +49,7 @@ class Gripper:
     tip: float
     palm: float
     pads: tuple[float, float]
+    flank_m: float
 
     @property
     def widest(self) -> float:
@@ -128,6 +130,7 @@ def _measure_gripper(robot: RobotModel, hand: Hand) -> Gripper | None:
     ]
     low, high = max(pad[:, 2].min() for pad in pads), min(pad[:, 2].max() for pad in pads)
     front = max(float(part[:, 2].max()) for part in palms if len(part))
+    flank = np.cross([0.0, 0.0, 1.0], closing)
     return Gripper(
         side=hand.side,
         tool=hand.tool,
@@ -143,6 +146,7 @@ def _measure_gripper(robot: RobotModel, hand: Hand) -> Gripper | None:
         tip=float(max(part[:, 2].max() for part in points)),
         palm=front,
         pads=(float(low), float(high)),
+        flank_m=min(float(np.abs(part @ flank).max()) for part in points),
     )
 
 

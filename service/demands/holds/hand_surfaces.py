@@ -19,7 +19,7 @@ Surface = tuple[str, str, Float[np.ndarray, "K 3"], float]
 def place_fingers(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Mapping[str, Float[np.ndarray, "4 4"]]:
     """Return the poses of fingers that a phase keeps closed, in the tool's frame; none of fingers that grip."""
     motion = spec.hand
-    if hand is None or motion is None or motion.rotation is not None or not spec.joints:
+    if hand is None or motion is None or motion.grips or not spec.joints:
         return {}
     q = np.zeros(robot.n)
     for joint, (value, _) in spec.joints.items():
@@ -46,8 +46,8 @@ def list_hand_surfaces(robot: RobotModel, hand: Hand, link: str) -> list[Surface
         first = min(float(vertices[:, 2].min()) for vertices in bodies)
         ends = np.array([[0.0, 0.0, first + hand.peg_radius], [0.0, 0.0, -hand.peg_radius]])
         return [(hand.tool, "the rod", ends, hand.peg_radius)]
-    if link == hand.link or link in hand.fingers:
-        frame, words = (hand.tool, "the hand's front") if link == hand.link else (link, f"the pad of {link}")
+    if link in (hand.link, hand.palm, *hand.fingers):
+        frame, words = (link, f"the pad of {link}") if link in hand.fingers else (hand.tool, "the hand's front")
         bodies = [_to_frame(robot, body, frame) for body in robot.bodies if body.link == link]
         if not bodies:
             return []

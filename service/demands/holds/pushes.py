@@ -102,7 +102,7 @@ def _limit_lean(
 ) -> FrameMotion:
     """Return a phase's hand whose rod leans towards the way of its hardest push no more than friction permits."""
     single = [nominal for nominal in found if len(nominal.met) == 1]
-    if not single:
+    if not single or motion.rotation is not None:
         return motion
     nominal = max(single, key=lambda nominal: nominal.push.force_n)
     (contact,), (meeting,) = nominal.push.contacts, nominal.met
@@ -227,8 +227,8 @@ def _list_contacts(robot: RobotModel, hand: Hand | None, spec: TaskPhase) -> Ite
 
 
 def _keep_nearest(contacts: Sequence[HandContact], motion: FrameMotion, robot: RobotModel) -> tuple[HandContact, ...]:
-    """Return the contacts of a rod; those of fingers only with the bodies that are nearest to the hand's place."""
-    if motion.rotation is None:
+    """Return the contacts of what pushes; those of fingers that grip only with the bodies nearest to their place."""
+    if not motion.grips:
         return tuple(contacts)
     bodies = {body.name: body for body in robot.bodies}
     names = dict.fromkeys(contact.body for contact in contacts)

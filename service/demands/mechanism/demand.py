@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from costs.robot import (
     Mechanism,
@@ -14,7 +16,7 @@ from costs.robot import (
 from service.demands.figures.travel import measure_ends
 from service.demands.hands import Hand
 from service.demands.mechanism.given import GivenMechanism
-from service.demands.mechanism.phases import make_mechanism_phases
+from service.demands.mechanism.phases import make_mechanism_phases, turn_fingers
 from service.demands.mechanism.settling import keep_aside, settle_handle
 from service.demands.mechanism.tips import list_pushing_hands
 from service.demands.phase import TaskPhase
@@ -22,7 +24,9 @@ from service.demands.rest.phases import RestTask, check_travel, start_mechanism
 from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
 from service.request.resume import HoldChoice, ResumeRequest
-from service.verify import Motion, RelativePoseTarget
+from service.verify import Motion, RelativePoseTarget, Target
+
+SAME_TURN = 1e-6  # entries of a rotation that a record holds
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,19 @@ class GivenMechanismDemand:
             if isinstance(target, RelativePoseTarget) and target.reference == self.given.handle.link
         }
         pushing = list_pushing_hands(self.robot, self.given)
-        return next((hand for hand in pushing if tools & {hand.peg, hand.tool, hand.stub}), None)
+        held = [hand for hand in pushing if tools & {hand.peg, hand.tool, hand.stub}]
+        return next((hand for hand in held if self._is_turned(hand, targets)), next(iter(held), None))
+
+    def _is_turned(self, hand: Hand, targets: Sequence[Target]) -> bool:
+        """Return whether targets of a record hold the side of a gripper's fingers as a hand does."""
+        turned = turn_fingers(self.given, hand)
+        return turned is None or any(
+            isinstance(target, RelativePoseTarget)
+            and target.frame == hand.tool
+            and target.reference == self.given.handle.link
+            and float(np.abs(target.rotation - turned).max()) <= SAME_TURN
+            for target in targets
+        )
 
     def keep_choices(self, recorded: Motion) -> dict[str, Any] | str:
         """Return the hand of a record, or a sentence that it has none."""

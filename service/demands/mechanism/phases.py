@@ -14,15 +14,16 @@ from service.demands.holds.leaving import LET_GO, SET_ON, STAYS_SHARE, may_drag
 from service.demands.holds.pressed import add_pressed, find_pressed
 from service.demands.mechanism.given import GivenMechanism
 from service.demands.moved_object.loads import LEAST_LOAD, JointLoad
-from service.demands.phase import DEPTH_RESERVE, FrameMotion, TaskPhase
+from service.demands.phase import AXIS, DEPTH_RESERVE, FrameMotion, TaskPhase
 from service.errors import RequestError
 from service.request.tasks.mechanism import MechanismRequest
-from service.verify import HandLoad
+from service.verify import HAND_DRIFT_M, HandLoad
 
 TOUCH_DEPTH = 6e-3  # allowed overlap of the hand's rod and what it holds [m]
 TILT_RESERVE = float(np.deg2rad(2.0))
 PLACE_TOLERANCE = 5e-3  # [m]
 MOST_LOADS = 4  # at a time: the robot is held under every combination of them
+LEAST_ACROSS = 0.5  # sine between a hand and the way on which the side of its fingers pushes
 LEAST_ARM = 0.01  # of the handle about a joint that it moves [m]
 
 
@@ -36,18 +37,19 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
     """
     handle, start = given.handle, given.mechanism.start
     tool, closed = select_tool(given, hand), {joint: (value, value) for joint, value in hand.closed}
-    # Where parts only slide, a force acts at a gripper's frame behind its fingers' ends as it does at these.
-    handle = replace(handle, place=handle.place - hand.tip_m * handle.axis)
-    given = replace(given, handle=handle)
+    ahead = measure_ahead(given, hand)
     held = FrameMotion(
-        tool, handle.link, handle.place, handle.axis, slide=handle.slide, tolerance_m=PLACE_TOLERANCE,
-        tilt_rad=handle.tilt, aim_rad=handle.tilt - TILT_RESERVE,
+        tool, handle.link, handle.place - ahead * handle.axis, handle.axis, slide=handle.slide,
+        rotation=turn_fingers(given, hand), tolerance_m=PLACE_TOLERANCE, tilt_rad=handle.tilt,
+        aim_rad=handle.tilt - TILT_RESERVE,
     )  # fmt: skip
     line = replace(held, offset=handle.approach)
     # What presses lies on the surface; the rod beside a hand that presses by its front comes no further than that.
-    depths = {hand.link: TOUCH_DEPTH, hand.hook: DEPTH_RESERVE}
-    if given.request.handle.tool != "stub":
-        depths = dict.fromkeys(hand.fingers if hand.closed else (hand.hook,), TOUCH_DEPTH)
+    rod = hand.fingers if hand.closed else (hand.hook,)
+    depths = dict.fromkeys(rod, TOUCH_DEPTH)
+    if given.request.handle.tool == "stub":
+        front = hand.palm if hand.closed else hand.link
+        depths = {front: TOUCH_DEPTH, **dict.fromkeys(rod, TOUCH_DEPTH if hand.closed else DEPTH_RESERVE)}
     touches = tuple(
         Allowance(BodyRef.of_link(link), BodyRef("mechanism", handle.link, body), depth)
         for link, depth in depths.items()
@@ -56,7 +58,11 @@ def make_mechanism_phases(given: GivenMechanism, hand: Hand) -> tuple[TaskPhase,
     ends = given.list_moves()
     values = ends[-1][1]
     joint_loads = given.list_joint_loads()
-    loads = [tuple(_make_loads(given, tool, first, each)) for (first, _), each in zip(ends, joint_loads, strict=True)]
+    drift = max(HAND_DRIFT_M, PLACE_TOLERANCE + abs(ahead) * float(np.sin(handle.tilt)))
+    loads = [
+        tuple(replace(load, drift_m=drift) for load in _make_loads(given, tool, first, each))
+        for (first, _), each in zip(ends, joint_loads, strict=True)
+    ]
     crowded = next((k for k, carried in enumerate(loads) if len(carried) > MOST_LOADS), None)
     if crowded is not None:
         raise RequestError(
@@ -99,8 +105,43 @@ def drags_along(
 
 
 def select_tool(given: GivenMechanism, hand: Hand) -> str:
-    """Return the frame of a hand that is at the handle's place."""
+    """Return the frame of a hand that is at the handle's place, or rigidly behind it."""
+    if hand.closed:
+        return hand.tool
     return {"peg": hand.peg, "tip": hand.tool, "stub": hand.stub}[given.request.handle.tool]
+
+
+def measure_ahead(given: GivenMechanism, hand: Hand) -> float:
+    """Return how far before its frame a hand is at the handle's place: fingers' ends, pads, or the front [m]."""
+    if not hand.closed:
+        return 0.0
+    return {"peg": 0.0, "tip": hand.tip_m, "stub": hand.palm_m}[given.request.handle.tool]
+
+
+def turn_fingers(given: GivenMechanism, hand: Hand) -> Float[np.ndarray, "3 3"] | None:
+    """Return rotation_link_tool of closed fingers whose side faces the first move's way; None of ends and of rods.
+
+    Raises:
+        RequestError: the handle moves along the hand, whose sides then push nothing.
+    """
+    handle, start = given.handle, given.mechanism.start
+    if not hand.closed or given.request.handle.tool == "tip":
+        return None
+    name = given.request.moves[0].joint
+    joint = given.mechanism.joint(name)
+    place, turned = _locate_handle(given, name, start)
+    axis = joint.axis / np.linalg.norm(joint.axis)
+    way = turned.T @ (axis if joint.kind == "prismatic" else np.cross(axis, place))
+    across = way - (way @ handle.axis) * handle.axis
+    size = float(np.linalg.norm(across))
+    if size <= LEAST_ACROSS * float(np.linalg.norm(way)):
+        raise RequestError(
+            f"task.mechanism.handle.axis: points along the way of {name}; expected a hand across it, whose closed "
+            "fingers push by their side, or handle.tool: tip"
+        )
+    flank = np.array(hand.flank)
+    own = np.stack([np.cross(flank, AXIS), flank, AXIS], axis=1)
+    return np.asarray(np.stack([np.cross(across / size, handle.axis), across / size, handle.axis], axis=1) @ own.T)
 
 
 def _make_loads(

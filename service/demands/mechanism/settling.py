@@ -42,7 +42,7 @@ def settle_handle(
     found = _list_pushes(given, robot, hand, friction)
     best = _touch(given, found)
     excess = _measure_worst(_list_pushes(best, robot, hand, friction))
-    for leant in _list_leant(given, found) if excess > -ENOUGH_ROOM else ():
+    for leant in _list_leant(given, hand, found) if excess > -ENOUGH_ROOM else ():
         touching = _touch(leant, _list_pushes(leant, robot, hand, friction))
         left = _measure_worst(_list_pushes(touching, robot, hand, friction))
         if left < excess:
@@ -96,7 +96,7 @@ def _touch(given: GivenMechanism, pushes: Sequence[NominalPush]) -> GivenMechani
     return given
 
 
-def _list_leant(given: GivenMechanism, found: Sequence[NominalPush]) -> Iterator[GivenMechanism]:
+def _list_leant(given: GivenMechanism, hand: Hand, found: Sequence[NominalPush]) -> Iterator[GivenMechanism]:
     """Yield handles whose rod leans, further and further, towards square to the way of the hardest push.
 
     What is left of the permitted lean stays the hand's.  Its line leans with it, so that the rod comes along itself.
@@ -106,7 +106,7 @@ def _list_leant(given: GivenMechanism, found: Sequence[NominalPush]) -> Iterator
         nominal for nominal in found
         if len(nominal.met) == 1 and nominal.push.contacts[0].link == handle.link
     ]  # fmt: skip
-    if given.request.handle.tool == "tip" or not pushes:
+    if given.request.handle.tool == "tip" or hand.closed or not pushes:
         return
     way = max(pushes, key=lambda nominal: measure_excess(nominal.push, nominal.met)).met[0].way
     along = float(way @ handle.axis)

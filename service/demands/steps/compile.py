@@ -45,7 +45,8 @@ from service.request.tasks.reach import GoalRequest, PoseGoalRequest
 from service.request.tasks.steps import BodyStep
 
 UPRIGHT_GROUP = "upright"
-CORNER = "corner"
+CORNER, DOWN = "corner", "down"
+ABOVE_M = 0.03  # of an object above the place to which a free motion brings it, before a line leads down
 NEARLY_UP = float(np.cos(np.deg2rad(20.0)))  # upward part of a direction up to which it counts as upright
 LEVEL_DEG = 0.03  # of an object above the place where it is put: beyond it touches with an edge, which holds no weight
 
@@ -125,6 +126,13 @@ def _list_makers(
         level = tuple(group for group in company if group & named.sets_down)
         ups = {item: holding.items[item].body.start[2, :3] for item in named.sets_down if item in holding.held}
         make = partial(_make_move, robot, company, level, ups, step.move, name)
+        landing = _split_landing(step.move, named.lands) if named.lands in holding.held else None
+        if landing is not None:
+            above, down = (partial(_make_move, robot, company, level, ups, own) for own in landing)
+            return (
+                PhaseMaker(name, partial(above, name)),
+                PhaseMaker(f"{name}: {DOWN}", partial(down, f"{name}: {DOWN}")),
+            )
         if not named.entered_m and named.leads_to is None:
             return (PhaseMaker(name, make),)
         return tuple(_list_blended(robot, make, named, step.move, named.leads_to))
@@ -208,6 +216,20 @@ def _make_move(
     else:
         led = [Led(frame, guide, **free, **limits) for frame, guide in guides.items()]  # type: ignore[arg-type]
     return replace(base, led=tuple(led))
+
+
+def _split_landing(move: MoveStep, item: str | None) -> tuple[MoveStep, MoveStep] | None:
+    """Return a free motion of an object to where it is let go as one to above that place, and a line down from there.
+
+    None for any other motion: a free one ends within its tolerance, at which nothing rests.
+    """
+    own = next((pose for pose in move.poses if pose.link == item), None)
+    if move.along != "free" or own is None or not own.is_plain:
+        return None
+    x, y, z = own.origin
+    raised = replace(own, position=(x, y, z + ABOVE_M))
+    above = replace(move, poses=tuple(raised if pose is own else pose for pose in move.poses))
+    return above, replace(move, poses=(own,), along="line", duration_s=None)
 
 
 def _list_blended(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -165,7 +165,7 @@ class _Record:
         for phase in list_walking_phases(self._holding, stances, finish, named.name):
             self.names.append(phase.name)
             self.phases[phase.name] = phase
-        self._holding = replace(self._holding.settle(), stands=self._find_end())
+        self._holding = self._holding.stand(self._find_end(), stances[-1].contacts)
 
     def _find_end(self) -> Float[np.ndarray, "n"]:
         """Return the configuration at the end of the last phase that was read and that the record has."""

@@ -23,6 +23,7 @@ from service.errors import RequestError
 from service.request.fields import HAND_FRICTION
 from service.request.tasks.hand_steps import FollowStep
 from service.request.tasks.reach import GoalRequest
+from service.verify import HandLoad
 
 STEEPEST_DEG = float(np.rad2deg(np.arctan(HAND_FRICTION[0])))  # lean of a tool that is pressed onto a face
 OFF_FACE_M = 1e-4  # tolerance of where a line to a face begins
@@ -127,6 +128,9 @@ def _make_part(
     free = about if step.turn == "free" else None
     led = Led(frame, part.guide(rotation), free_axis=free, is_corner=part.is_corner, **limits)  # type: ignore[arg-type]
     keeping = keep_others(robot, company, q, (frame,), step.other_hand)
-    loads = (make_thrust(frame, led.guide, step.thrust_n * axis),) if part.is_path and step.thrust_n else ()
+    loads: tuple[HandLoad, ...] = ()
+    if part.is_path and step.thrust_n:
+        thrust = make_thrust(frame, led.guide, step.thrust_n * axis)
+        loads = (replace(thrust, across_n=step.across_n, twist_nm=step.twist_nm),)
     made = StepPhase(name, (led,), touches=touches, loads=loads, **keeping)  # type: ignore[arg-type]
     return replace(made, flows=part.flows, is_entered=part.is_entered)

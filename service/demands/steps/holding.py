@@ -13,6 +13,8 @@ from costs.allowance import Allowance, BodyRef
 from costs.robot import RobotModel
 from costs.robot.carried import MovableObject, PlacedObject, with_objects
 from costs.scene import ConvexPiece, Scene
+from service.demands.contacts.contact_task import START_PATCHES
+from service.demands.contacts.stances import StanceContact, make_contact_allowances
 from service.demands.grasping.gripper import Gripper, list_grippers
 from service.demands.grasping.objects import find_object
 from service.demands.phase import TaskPhase
@@ -119,6 +121,7 @@ class Holding:
         held: the others, by name.
         fresh: pieces and objects that an object touches which was taken and not moved yet, by its name.
         stands: (n,) configuration at whose feet the robot stands; None for its start.
+        braced: all contacts that carry it, where a hand or another link is among them besides its feet.
     """
 
     robot: RobotModel
@@ -130,6 +133,7 @@ class Holding:
     held: Mapping[str, Hold] = field(default_factory=dict)
     fresh: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     stands: Float[np.ndarray, "n"] | None = None
+    braced: tuple[StanceContact, ...] = ()
 
     @staticmethod
     def of(section: StepsSection, request: PlanRequest, robot: RobotModel, scene: Scene) -> Holding:
@@ -249,6 +253,15 @@ class Holding:
         """Return the objects after a step that has moved all of those just taken, but for some, off what bore them."""
         return replace(self, fresh={name: pieces for name, pieces in self.fresh.items() if name in waits})
 
+    def stand(self, q: Float[np.ndarray, "n"], contacts: tuple[StanceContact, ...]) -> Holding:
+        """Return the objects after a step that ends at a configuration of the robot, on these contacts."""
+        leans = any(contact.patch not in START_PATCHES for contact in contacts)
+        return replace(self.settle(), stands=q, braced=contacts if leans else ())
+
+    def list_brace_touches(self) -> tuple[Allowance, ...]:
+        """Return the allowances of what carries the robot, where that is more than its feet."""
+        return make_contact_allowances(self.braced)
+
     def find_rest(self, name: str, pose: Float[np.ndarray, "4 4"]) -> tuple[float, tuple[str, ...]]:
         """Return the margin with which an object rests at a pose in the world [m], and on which pieces and objects."""
         places = {**self.resting, name: pose}
@@ -280,11 +293,14 @@ class Holding:
 
 
 def carry_along(phase: TaskPhase, holding: Holding) -> TaskPhase:
-    """Return a phase of a mechanism or of a walk with the objects where they are."""
+    """Return a phase of a mechanism or of a walk with the objects where they are, on what carries the robot then."""
     touches = (*phase.touches, *holding.list_touches())
     chains = (target for hold in holding.held.values() for target in hold.list_chain())
     targets = (*phase.targets, *chains)
-    return replace(phase, touches=touches, targets=targets, carriers=holding.carriers, stands=holding.stands)
+    own = replace(phase, touches=touches, targets=targets, carriers=holding.carriers, stands=holding.stands)
+    if not holding.braced or phase.contacts is not None:
+        return own
+    return replace(own, touches=(*touches, *holding.list_brace_touches()), contacts=holding.braced)
 
 
 def list_pad_touches(name: str, grippers: tuple[Gripper, ...]) -> Iterator[Allowance]:

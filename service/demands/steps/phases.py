@@ -174,6 +174,9 @@ class StepPhase:
         touches = self.list_touches(robot, first, last)
         carriers = () if self.holding is None else self.holding.carriers
         stands = None if self.holding is None else self.holding.stands
+        braced = () if self.holding is None else self.holding.braced
+        if self.holding is not None:
+            touches = (*touches, *self.holding.list_brace_touches())
         own = tuple(targets)
         return TaskPhase(
             self.name,
@@ -182,6 +185,7 @@ class StepPhase:
             targets=own,
             loads=self.loads,
             carriers=carriers,
+            contacts=braced or None,
             stands=stands,
             flows=self.flows,
         )

@@ -38,7 +38,7 @@ def read_stances(
         assert section is not None
         if any(place.slack_m for stance in section.stances for place in stance.make.values()):
             raise RequestError("slack_m: contacts of a step have their places; expected 0")
-        stances = make_stances(section, holding.robot, scene, q[: holding.robot.n])
+        stances = make_stances(section, holding.robot, scene, q[: holding.robot.n], holding.braced)
     except RequestError as error:
         lines = [f"step '{name}': {problem.replace('task.contacts', step.kind)}" for problem in error.problems]
         raise RequestError(lines) from None

@@ -133,7 +133,7 @@ def find_hold(wheel: Wheel, choice: TurnChoice, mode: Mode, sense: float) -> Fra
         raise ValueError(grip)
     return FrameMotion(
         choice.hand.tool, VALVE_LINK, grip.place, -wheel.axis, offset=grip.offset, tolerance_m=GRIP_TOLERANCE,
-        tilt_rad=float(AXIS_TOLERANCE), rotation=grip.rotation,
+        tilt_rad=float(AXIS_TOLERANCE), rotation=grip.rotation, grips=True,
     )  # fmt: skip
 
 

@@ -263,6 +263,8 @@ class FollowStep(Section):
         approach_m: length of the lines that lead to the face and off it [m].
         speed_m_s: feed on the path.
         thrust_n: largest force with which the tool may be pushed back along its axis [N].
+        across_n: largest force on it across its axis besides, in any direction, as of a drill against its feed [N].
+        twist_nm: largest moment on it about its axis besides, in either sense [N m].
         touch_depth_m: by which the link of the tool may be inside the face's pieces, beyond ``depth_m``.
         other_hand, tolerance_m, rotation_tolerance_deg: as in ``move``.
         blend_m: from a corner, where the tool leaves the path on an arc, to go on without a rest; 0 to rest there [m].
@@ -286,9 +288,13 @@ class FollowStep(Section):
     rotation_tolerance_deg: ToleranceDeg = 2.0
     blend_m: BlendM = 0.0
     tool_axis: LinkAxis = "z"
+    across_n: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
+    twist_nm: Annotated[Number, Field(ge=0.0, le=200.0)] = 0.0
 
     def __post_init__(self) -> None:
         require_exactly_one(self, ("circle", "polyline"))
+        if (self.across_n or self.twist_nm) and not self.thrust_n:
+            raise PydanticCustomError("follow", "across_n and twist_nm come with a thrust_n, which is 0")
         _check_hand(self.hand, self.frame)
         _check_direction("tilt_towards", self.tilt_towards)
         if self.hand is None and self.frame is None:

@@ -210,6 +210,7 @@ def choose_hands(body: WholeBody, request: DoorRequest, door: Door) -> tuple[Han
     if not known:
         frames = "l_tool, l_peg, l_stub or r_tool, r_peg, r_stub"
         raise RequestError(
-            f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand ({frames}, or those of robot.hands)"
+            f"task.door.hand: robot '{body.robot.name}' has no {request.hand} hand with a rod ({frames}, or those of "
+            "robot.hands); closed fingers open a door by task.mechanism"
         )
     return known

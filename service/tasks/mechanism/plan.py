@@ -16,7 +16,6 @@ from costs.static_region import StaticRegionError
 from service.body.phases import PhaseSolver
 from service.body.task_plan import TaskPlan
 from service.body.whole_body import WholeBody
-from service.demands.grasping.gripper import list_grippers
 from service.demands.hands import Hand
 from service.demands.holds.leaving import LET_GO
 from service.demands.holds.pushes import explain_refusal
@@ -25,10 +24,12 @@ from service.demands.mechanism.given import GivenMechanism, read_given_mechanism
 from service.demands.mechanism.phases import (
     list_opposite_places,
     make_mechanism_phases,
+    measure_ahead,
     select_tool,
+    turn_fingers,
 )
 from service.demands.mechanism.settling import keep_aside, settle_handle
-from service.demands.mechanism.tips import list_pushing_hands, list_turning
+from service.demands.mechanism.tips import list_pushing_hands
 from service.demands.phase import TaskPhase, find_rotation_onto
 from service.errors import RequestError
 from service.request.resume import ResumeRequest
@@ -156,27 +157,17 @@ def choose_hands(body: WholeBody, given: GivenMechanism) -> tuple[Hand, ...]:
         side = {"auto": ""}.get(given.request.hand, f"{given.request.hand} ")
         raise RequestError(
             f"task.mechanism.hand: robot '{body.robot.name}' has no {side}hand with a rod, by which parts are pushed "
-            f"(frames tool, peg and stub){_explain_fingers(body, given)}; robot.hand: hook gives the bundled robot "
-            "such hands, robot.hands names those of another robot"
+            "(frames tool, peg and stub), nor one with two fingers that slide and close; robot.hand: hook or gripper "
+            "gives the bundled robot such hands, robot.hands names those of another robot"
         )
     return hands
-
-
-def _explain_fingers(body: WholeBody, given: GivenMechanism) -> str:
-    """Return why grippers cannot push a mechanism instead; empty for a robot without any."""
-    if not list_grippers(body.robot, given.request.hand):
-        return ""
-    turning = list_turning(given)
-    if turning:
-        return f", and {turning[0]} turns: closed fingers push only parts that slide"
-    return f"; closed fingers push only with handle.tool: tip, not {given.request.handle.tool}"
 
 
 def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism) -> None:
     """Refuse a place at which the hand's rod, or its fingers' ends, do not touch what it holds, or is deep inside.
 
     Raises:
-        RequestError: one line with the distance.
+        RequestError: one line with the distance, or with the way along which closed fingers have no side.
     """
     handle, robot = given.handle, solver.body.robot
     bodies = [body for body in robot.bodies if body.name in handle.bodies]
@@ -184,35 +175,40 @@ def check_hold(solver: PhaseSolver, hands: Sequence[Hand], given: GivenMechanism
     if not bodies:
         raise RequestError(f"{field}.link: {link} has no <collision>; expected a link that the hand can touch")
     for hand in hands:
-        gap = float("inf")
-        if not hand.closed:
+        turn_fingers(given, hand)
+        gap, is_tip = float("inf"), given.request.handle.tool == "tip"
+        if not hand.closed or not is_tip:
             rod = _list_rod(solver, given, hand)
-            if given.request.handle.tool == "tip":  # the rod ends flat
+            if is_tip:  # the rod ends flat
                 rod = rod[np.linalg.norm(rod - handle.place, axis=1) >= hand.peg_radius]
             gap = min(measure_surface_distance(body, point) for body in bodies for point in rod) - hand.peg_radius
-        if given.request.handle.tool == "tip":
+        if is_tip:
             gap = min(gap, *(measure_surface_distance(body, handle.place) for body in bodies))
         if not -MOST_INSIDE <= gap <= MOST_GAP:
             where = f"{1e3 * abs(gap):.0f} mm {'away from' if gap > 0.0 else 'inside'} {link}"
+            surface = _name_surface(hand, is_tip=is_tip)
             raise RequestError(
-                f"{field}.place: {_name_surface(hand)} would be {where}; "
+                f"{field}.place: {surface} would be {where}; "
                 f"expected at most {1e3 * MOST_GAP:g} mm away and {1e3 * MOST_INSIDE:g} mm inside"
             )
 
 
-def _name_surface(hand: Hand) -> str:
+def _name_surface(hand: Hand, *, is_tip: bool) -> str:
     if hand.closed:
-        return f"the ends of the {hand.side} hand's closed fingers"
+        return f"the {'ends' if is_tip else 'sides'} of the {hand.side} hand's closed fingers"
     return f"the {hand.side} hand's rod of {1e3 * hand.peg_radius:g} mm radius"
 
 
 def _list_rod(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> Float[np.ndarray, "P 3"]:
-    """Return points along the middle of a hand's rod at the handle, in the handle's link [m]."""
-    tool = select_tool(given, hand)
+    """Return points along the middle of a hand's rod, or closed fingers, at the handle, in the handle's link [m]."""
+    tool, place, axis = select_tool(given, hand), given.handle.place, given.handle.axis
+    if hand.closed:
+        ahead = measure_ahead(given, hand)
+        return np.asarray(place + np.linspace(hand.palm_m - ahead, hand.tip_m - ahead, ROD_POINTS)[:, None] * axis)
     poses = locate_links(solver.body.engine, solver.body.nominal, [tool, hand.stub, hand.tool])
     origin = poses[tool][:3, 3]
     first, last = ((poses[frame][:3, 3] - origin) @ poses[tool][:3, 2] for frame in (hand.stub, hand.tool))
-    return np.asarray(given.handle.place + np.linspace(first, last, ROD_POINTS)[:, None] * given.handle.axis)
+    return np.asarray(place + np.linspace(first, last, ROD_POINTS)[:, None] * axis)
 
 
 def explain_hold(solver: PhaseSolver, given: GivenMechanism, hand: Hand) -> str | None:

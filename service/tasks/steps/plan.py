@@ -13,6 +13,7 @@ from jaxtyping import Float
 from costs.robot import RobotModel
 from costs.rotation import pose_matrix
 from costs.scene import ConvexPiece
+from service.body.forces.loaded_regions import plan_contact_region
 from service.body.phases import PhaseSolver
 from service.body.task_plan import PlannedPhase, Stuck, TaskPlan
 from service.body.whole_body import WholeBody
@@ -31,6 +32,7 @@ from service.request.tasks.steps import StepsSection
 from service.setup.prepare import PlanSetup
 from service.tasks.contacts.motion import plan_contact_motion
 from service.tasks.handling import FARTHER, find_collisions
+from service.tasks.phase_terms import shrink
 from service.tasks.sequence import add_mechanism
 from service.tasks.steps.choices import (
     MOST_CHOICES,
@@ -233,7 +235,7 @@ class _Walk:
             best = None if made.stuck is None else made.stuck.best
             return _Done(phases, order, Tried(named.name, made.reasons, best), index)
         q = phases[-1].q[-1]
-        standing = replace(holding.settle(), stands=q[: self._setup.robot.n])
+        standing = holding.stand(q[: self._setup.robot.n], stances[-1].contacts)
         return _Done(phases, order, None, index, _State(q, state.values, standing))
 
     def _move(self, index: int, state: _State) -> _Done:
@@ -385,6 +387,11 @@ class _Walk:
         if holding.stands is None:
             return solver
         body, feet = solver.body, tuple(foot.link for foot in self._solver.body.planted)
+        if holding.braced:
+            planted = tuple(contact.planted for contact in holding.braced)
+            touches = shrink(holding.list_brace_touches())
+            own = body.on_contacts(planted, touches, plan_contact_region(body.robot, planted))
+            return replace(solver, body=own)
         stands = np.concatenate([holding.stands, at[len(holding.stands) :]])
         standing = WholeBody.standing(body.robot, body.scene, stands, feet, body.aims)
         own = replace(body, planted=standing.planted, polygon=standing.polygon, region=standing.region)

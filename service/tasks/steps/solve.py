@@ -316,7 +316,7 @@ class _Stage:
 
     def find_regions(self, count: int) -> tuple[PlannedRegion, ...]:
         """Return where the feet hold the robot while the world pushes its hands, on ``count`` waypoints."""
-        if not self.made.loads or not self.body.is_on_feet:
+        if not self.made.loads or not self.body.is_balanced:
             return ()
         return (plan_world_region(self.robot, self.body.planted, self.made.loads, count),)
 

@@ -15,6 +15,7 @@ from service.verify.carrying.grasp import GRAVITY, GripBalance, Held
 from service.verify.carrying.stacks import Rest, RestingObject, measure_rests
 from service.verify.certificate import Basis, Check, Where
 from service.verify.forces.dynamics import list_sample_times
+from service.verify.forces.hand_loads import measure_most
 from service.verify.motion import Motion, Phase, VerifySettings
 from service.verify.phase_proof import PhaseProof
 from service.verify.prepared_motion import PreparedMotion
@@ -131,7 +132,7 @@ def _check_grips(
     grip = min(grip.force_n for grip in carrier.grips)
     what = f"{item.name} of {item.inertia.mass:g} kg during {phase.name}"
     if held.loads:
-        force = float(np.linalg.norm(np.sum([load.force for load in held.loads], axis=0)))
+        force = sum(measure_most(load) for load in held.loads)
         what = f"{item.name} of {item.inertia.mass:g} kg, which presses with up to {force:.3g} N, during {phase.name}"
     text = f"{hands} hold {what} with {100.0 * weighed.bound:.0f} % of {grip:g} N"
     failure = f"{hands} do not hold {what}: {_describe_need(weighed.sampled, grip)}"

@@ -21,7 +21,7 @@ from costs.rotation import cross
 from costs.work_space import borrow_data
 from service.verify.carrying.carriers import Carrier, Grip
 from service.verify.forces.hand_balance import meet
-from service.verify.forces.hand_loads import list_offsets
+from service.verify.forces.hand_loads import list_offsets, list_parts, measure_most
 from service.verify.forces.linear_program import LinearProgram
 from service.verify.forces.pads import PATCH_DEPTH_M, find_patch
 from service.verify.forces.rounded import list_round_contact, shrink_hull
@@ -127,10 +127,12 @@ class Held:
         arm = self.frame.placement.translation - self.centre
         corners = [np.zeros((len(s), 6))]
         for load in self.loads:
-            force = load.force @ turn
-            places = replace(load, drift_m=LOAD_OFF_M)
-            own = [np.cross(arm + off @ turn, force) for off in list_offsets(places)]
-            corners += [before + np.hstack([force, moment]) for before in tuple(corners) for moment in own]
+            own = []
+            for part in list_parts(load):
+                force, twist = part[:3] @ turn, part[3:] @ turn
+                for off in list_offsets(replace(load, drift_m=LOAD_OFF_M)):
+                    own.append(np.hstack([force, np.cross(arm + off @ turn, force) + twist]))
+            corners += [before + wrench for before in tuple(corners) for wrench in own]
         return np.stack(corners)
 
     def measure_turning(self, balance: GripBalance) -> float:
@@ -138,9 +140,12 @@ class Held:
         most = float(np.linalg.norm(balance.find_force_shares(GRAVITY * self.item.inertia.mass)))
         arm = self.frame.placement.translation - self.centre
         for load in self.loads:
-            size = float(np.linalg.norm(load.force))
+            size = measure_most(load)
             farthest = float(np.linalg.norm(arm)) + np.sqrt(2.0) * LOAD_OFF_M
-            forces, moments = balance.find_force_shares(size), balance.find_moment_shares(size * farthest)
+            forces, moments = (
+                balance.find_force_shares(size),
+                balance.find_moment_shares(size * farthest + load.twist_nm),
+            )
             most += float(np.linalg.norm(forces) + np.linalg.norm(moments))
         return most
 

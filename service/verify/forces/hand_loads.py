@@ -102,24 +102,24 @@ def _corners_of(
 ) -> Iterator[Float[np.ndarray, "K 6"]]:
     """Yield the corners of one load's wrenches, once per end of its slide."""
     model = motion.robot.model
+    chain = _list_carrying(motion, load)
+    if load.link == WORLD:
+        count = 1 if moving is None else _count_corners(model, moving, span)
+        for wrench in list_world_wrenches(load):
+            yield np.tile(wrench, (count, 1))
+        return
     pose = data.oMf[model.getFrameId(load.link)]
     force = -pose.rotation @ load.force
     slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
-    chain = _list_carrying(motion, load)
-    if load.link == WORLD:
-        slides = [slide + off for slide in slides for off in list_offsets(load)]
     for slide in slides:
         point = pose.rotation @ (load.place + slide) + pose.translation
         if moving is None:
             yield np.concatenate([force, np.cross(point, force)])[None]
             continue
-        joint = model.joints[moving]
-        made = joint.createData()
-        joint.calc(made, np.zeros(model.nq), np.zeros(model.nv))
-        axis = np.asarray(made.S).reshape(6, -1)[:, -1]
-        if moving not in chain:  # same number of corners as the loads that move
-            count = len(list_turned_loads(force, point, np.array([0.0, 0.0, 1.0]), point, *span))
-            yield np.tile(np.concatenate([force, np.cross(point, force)]), (count if np.any(axis[3:]) else 2, 1))
+        axis = _read_axis(model, moving)
+        if moving not in chain:
+            fixed = np.concatenate([force, np.cross(point, force)])
+            yield np.tile(fixed, (_count_corners(model, moving, span), 1))
         elif np.any(axis[3:]):
             turned = data.oMi[moving].rotation @ axis[3:]
             yield list_turned_loads(force, point, turned, np.array(data.oMi[moving].translation), *span)
@@ -127,14 +127,67 @@ def _corners_of(
             yield list_slid_loads(force, point, data.oMi[moving].rotation @ axis[:3], *span)
 
 
-def list_offsets(load: HandLoad) -> Float[np.ndarray, "4 3"]:
-    """Return corners of a square across a load on the world that holds all places within its drift [m]."""
+def _read_axis(model: pin.Model, moving: int) -> Float[np.ndarray, "6"]:
+    """Return the last column of a joint's motion: linear, then angular."""
+    joint = model.joints[moving]
+    made = joint.createData()
+    joint.calc(made, np.zeros(model.nq), np.zeros(model.nv))
+    return np.asarray(made.S).reshape(6, -1)[:, -1]
+
+
+def _count_corners(model: pin.Model, moving: int, span: tuple[float, float]) -> int:
+    """Return how many corners a load has that a joint moves; those that it does not move have as many."""
+    if not np.any(_read_axis(model, moving)[3:]):
+        return 2
+    up, away = np.array([0.0, 0.0, 1.0]), np.ones(3)
+    return len(list_turned_loads(up, away, up, away, *span))
+
+
+def list_world_wrenches(load: HandLoad) -> list[Float[np.ndarray, "6"]]:
+    """Return wrenches on the robot about the world's origin whose hull, with none, has those of a load on the world."""
+    slides = [np.zeros(3)] if load.slide is None else [-load.slide, load.slide]
+    wrenches = []
+    for slide in slides:
+        for off in list_offsets(load):
+            point = load.place + slide + off
+            for part in list_parts(load):
+                wrenches.append(-np.concatenate([part[:3], np.cross(point, part[:3]) + part[3:]]))
+    return wrenches
+
+
+def list_parts(load: HandLoad) -> Float[np.ndarray, "K 6"]:
+    """Return corners of what a load exerts at its place: force and moment, in the axes of its link [N, N m].
+
+    Their hull, with none, has the force of any size up to its largest, with any force across it and any moment about
+    it up to theirs.
+    """
+    if not load.across_n and not load.twist_nm:
+        return np.concatenate([load.force, np.zeros(3)])[None]
     axis = load.force / np.linalg.norm(load.force)
+    sides = load.across_n * _list_square(axis) if load.across_n else np.zeros((1, 3))
+    turns = load.twist_nm * np.outer([1.0, -1.0], axis) if load.twist_nm else np.zeros((1, 3))
+    return np.array(
+        [np.concatenate([share * load.force + side, turn]) for share in (0.0, 1.0) for side in sides for turn in turns]
+    )
+
+
+def measure_most(load: HandLoad) -> float:
+    """Return the largest force of a load, with what acts across it [N]."""
+    return float(np.linalg.norm(list_parts(load)[:, :3], axis=1).max())
+
+
+def _list_square(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 3"]:
+    """Return corners of a square across a unit direction that holds all vectors across it of length 1."""
     side = np.eye(3)[int(np.abs(axis).argmin())]
     x = side - (side @ axis) * axis
     x /= np.linalg.norm(x)
     y = np.cross(axis, x)
-    return np.asarray(load.drift_m * np.array([x + y, x - y, y - x, -x - y]))
+    return np.array([x + y, x - y, y - x, -x - y])
+
+
+def list_offsets(load: HandLoad) -> Float[np.ndarray, "4 3"]:
+    """Return corners of a square across a load on the world that holds all places within its drift [m]."""
+    return np.asarray(load.drift_m * _list_square(load.force / np.linalg.norm(load.force)))
 
 
 def list_drifting(loads: tuple[HandLoad, ...]) -> tuple[HandLoad, ...]:
@@ -158,7 +211,7 @@ class LoadCase:
 def list_load_cases(
     robot: RobotModel, q: Float[np.ndarray, "S n"], loads: tuple[HandLoad, ...]
 ) -> tuple[LoadCase, ...]:
-    """Return no load, and every combination of the loads at their largest, at configurations.
+    """Return no load, and every combination of the corners of loads, at configurations; the last one has all of them.
 
     The force of a load that slides acts where the tool is on the slide.
 
@@ -173,7 +226,8 @@ def list_load_cases(
             raise VerifyError(f"unknown frame '{name}' of a load")
     tools, links = [model.getFrameId(load.tool) for load in loads], [model.getFrameId(load.link) for load in loads]
     joints = [int(model.frames[tool].parentJoint) for tool in tools]
-    forces, points = np.zeros((2, len(loads), len(q), 3))
+    parts = [list_parts(load) for load in loads]
+    exerted = [np.zeros((len(own), len(q), 6)) for own in parts]
     for k, row in enumerate(q):
         pin.forwardKinematics(model, data, row)
         for index, load in enumerate(loads):
@@ -184,13 +238,14 @@ def list_load_cases(
             elif load.slide is not None:
                 tool = pin.updateFramePlacement(model, data, tools[index]).translation
                 place = _slide_to(load, pose.rotation.T @ (tool - pose.translation))
-            forces[index, k] = -pose.rotation @ load.force
-            points[index, k] = pose.rotation @ place + pose.translation
-    wrenches = np.concatenate([forces, np.cross(points, forces)], axis=2)
+            force, moment = (-own @ pose.rotation.T for own in (parts[index][:, :3], parts[index][:, 3:]))
+            point = pose.rotation @ place + pose.translation
+            exerted[index][:, k] = np.concatenate([force, np.cross(point, force) + moment], axis=1)
     cases = []
-    for share in product((0.0, 1.0), repeat=len(loads)):
-        parts = tuple((joints[i], wrenches[i]) for i in range(len(loads)) if share[i])
-        cases.append(LoadCase(np.sum([part for _, part in parts], axis=0) if parts else np.zeros((len(q), 6)), parts))
+    for choice in product(*((None, *own) for own in exerted)):
+        acting = tuple((joint, wrench) for joint, wrench in zip(joints, choice, strict=True) if wrench is not None)
+        total = np.sum([wrench for _, wrench in acting], axis=0) if acting else np.zeros((len(q), 6))
+        cases.append(LoadCase(total, acting))
     return tuple(cases)
 
 

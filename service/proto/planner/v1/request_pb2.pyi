@@ -810,7 +810,7 @@ class Circle(_message.Message):
     def __init__(self, centre: _Optional[_Iterable[float]] = ..., radius_m: _Optional[float] = ..., angle_deg: _Optional[float] = ..., begin_deg: _Optional[float] = ..., sense: _Optional[_Union[CircleSense, str]] = ...) -> None: ...
 
 class Follow(_message.Message):
-    __slots__ = ("face", "circle", "polyline", "hand", "frame", "depth_m", "tilt_deg", "tilt_towards", "turn", "approach_m", "speed_m_s", "thrust_n", "touch_depth_m", "other_hand", "tolerance_m", "rotation_tolerance_deg", "blend_m", "tool_axis")
+    __slots__ = ("face", "circle", "polyline", "hand", "frame", "depth_m", "tilt_deg", "tilt_towards", "turn", "approach_m", "speed_m_s", "thrust_n", "touch_depth_m", "other_hand", "tolerance_m", "rotation_tolerance_deg", "blend_m", "tool_axis", "across_n", "twist_nm")
     FACE_FIELD_NUMBER: _ClassVar[int]
     CIRCLE_FIELD_NUMBER: _ClassVar[int]
     POLYLINE_FIELD_NUMBER: _ClassVar[int]
@@ -829,6 +829,8 @@ class Follow(_message.Message):
     ROTATION_TOLERANCE_DEG_FIELD_NUMBER: _ClassVar[int]
     BLEND_M_FIELD_NUMBER: _ClassVar[int]
     TOOL_AXIS_FIELD_NUMBER: _ClassVar[int]
+    ACROSS_N_FIELD_NUMBER: _ClassVar[int]
+    TWIST_NM_FIELD_NUMBER: _ClassVar[int]
     face: Face
     circle: Circle
     polyline: _containers.RepeatedCompositeFieldContainer[Point]
@@ -847,7 +849,9 @@ class Follow(_message.Message):
     rotation_tolerance_deg: float
     blend_m: float
     tool_axis: str
-    def __init__(self, face: _Optional[_Union[Face, _Mapping]] = ..., circle: _Optional[_Union[Circle, _Mapping]] = ..., polyline: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., depth_m: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., tilt_towards: _Optional[_Iterable[float]] = ..., turn: _Optional[_Union[ToolTurn, str]] = ..., approach_m: _Optional[float] = ..., speed_m_s: _Optional[float] = ..., thrust_n: _Optional[float] = ..., touch_depth_m: _Optional[float] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., blend_m: _Optional[float] = ..., tool_axis: _Optional[str] = ...) -> None: ...
+    across_n: float
+    twist_nm: float
+    def __init__(self, face: _Optional[_Union[Face, _Mapping]] = ..., circle: _Optional[_Union[Circle, _Mapping]] = ..., polyline: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., hand: _Optional[_Union[StepHand, str]] = ..., frame: _Optional[str] = ..., depth_m: _Optional[float] = ..., tilt_deg: _Optional[float] = ..., tilt_towards: _Optional[_Iterable[float]] = ..., turn: _Optional[_Union[ToolTurn, str]] = ..., approach_m: _Optional[float] = ..., speed_m_s: _Optional[float] = ..., thrust_n: _Optional[float] = ..., touch_depth_m: _Optional[float] = ..., other_hand: _Optional[_Union[OtherHand, str]] = ..., tolerance_m: _Optional[float] = ..., rotation_tolerance_deg: _Optional[float] = ..., blend_m: _Optional[float] = ..., tool_axis: _Optional[str] = ..., across_n: _Optional[float] = ..., twist_nm: _Optional[float] = ...) -> None: ...
 
 class Touch(_message.Message):
     __slots__ = ("direction", "window_m", "force_n", "axes", "pieces", "hand", "frame", "free_axis", "other_hand", "speed_m_s", "tolerance_m", "rotation_tolerance_deg")
