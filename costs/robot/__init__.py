@@ -3,7 +3,7 @@
 from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.circles import WHOLE_TURN, list_circular, turn_near
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
-from costs.robot.elements.inertia import LinkInertia
+from costs.robot.elements.inertia import LinkInertia, spread_mass
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.mechanism import (
@@ -72,6 +72,7 @@ __all__ = [
     "read_object_shapes",
     "read_robot_visuals",
     "read_triangles",
+    "spread_mass",
     "turn_near",
     "with_attached",
     "with_contacts",

@@ -114,18 +114,26 @@ class ConvexRequest(_Placed):
 
 
 @dataclass(config=SECTION, kw_only=True)
-class MeshRequest(_Placed):
-    """A mesh file (STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero), split into convex pieces.
+class MeshFile(_Placed):
+    """A mesh file: STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero.
 
     ``scale`` is metres per unit of the file, ``scale_xyz`` further factors along its axes, negative to mirror it.
-    Without ``decompose`` the mesh's hull is the only piece.  With ``match`` its pose is searched in the scan near the
-    given one, and points on or inside the mesh do not become pieces.
     """
 
     type: Literal["mesh"]
     file: FilePath
     scale: _Scale = 1.0
     scale_xyz: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 1.0)
+
+
+@dataclass(config=SECTION, kw_only=True)
+class MeshRequest(MeshFile):
+    """A mesh that is split into convex pieces.
+
+    Without ``decompose`` the mesh's hull is the only piece.  With ``match`` its pose is searched in the scan near the
+    given one, and points on or inside the mesh do not become pieces.
+    """
+
     decompose: StrictBool = True
     match: StrictBool = False
 
@@ -208,7 +216,14 @@ class MovableConvex(ConvexRequest, _Movable):
     """A convex hull that hands may take."""
 
 
-ObjectRequest = Annotated[MovableBox | MovableCylinder | MovableConvex, Field(discriminator="type")]
+@dataclass(config=SECTION, kw_only=True)
+class MovableMesh(MeshFile, _Movable):
+    """A convex mesh that hands may take; planning reads the corners of its hull into ``points``."""
+
+    points: Annotated[tuple[Point, ...], at_most(10_000)] = ()
+
+
+ObjectRequest = Annotated[MovableBox | MovableCylinder | MovableConvex | MovableMesh, Field(discriminator="type")]
 
 
 @dataclass(config=SECTION)
