@@ -26,6 +26,7 @@ from costs.robot.mesh import Mesh as Triangles
 from costs.robot.mesh import find_package_folders
 from costs.robot.mesh import read_mesh as read_triangles
 from costs.robot.mesh.split import LinkSplit
+from costs.robot.mesh.surface import LinkSurface, read_surface
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
@@ -43,6 +44,7 @@ __all__ = [
     "LinkInertia",
     "LinkPlace",
     "LinkSplit",
+    "LinkSurface",
     "Mechanism",
     "MechanismJoint",
     "PatchData",
@@ -71,6 +73,7 @@ __all__ = [
     "read_mesh_hulls",
     "read_object_shapes",
     "read_robot_visuals",
+    "read_surface",
     "read_triangles",
     "spread_mass",
     "turn_near",

@@ -9,6 +9,7 @@ import numpy as np
 from service.verify.certificate import SMALL_LINK_M, Basis, Check, Coverage, Shapeless
 from service.verify.clearance.checks import Clearance
 from service.verify.clearance.pairs import PairTable
+from service.verify.coverage.apart import SurfaceProofs
 from service.verify.coverage.left_out import LeftOutPairs, check_overlaps
 from service.verify.coverage.pressed import check_pressed
 from service.verify.coverage.required import (
@@ -18,6 +19,7 @@ from service.verify.coverage.required import (
 )
 from service.verify.coverage.shapeless import find_shapeless_links, list_drawn_links
 from service.verify.prepared_motion import PreparedMotion
+from service.verify.rounding import round_down
 
 
 def check_coverage(
@@ -33,7 +35,8 @@ def check_coverage(
     """
     motion, tree = prepared.motion, pairs.tree
     required = list_required_checks(motion, prepared.phases)
-    left_out = pairs.list_left_out(clearance.touching)
+    proofs = SurfaceProofs(prepared)
+    left_out = pairs.list_left_out(clearance.touching, proofs)
     shapeless = find_shapeless_links(prepared, tree)
     own = [link for link in tree.joint if link not in motion.mechanism_links]
     counts = [_count_pairs(table) for table in clearance.tables]
@@ -56,6 +59,7 @@ def check_coverage(
     against += [
         _size_check(item, item.link in tree.shaped, item.link in drawn) for item in shapeless if not item.is_small
     ]
+    against += [_surfaces_check(proofs)] if proofs.gaps else []
     if n_link_pairs + n_piece_pairs == 0:
         against.append(_no_pair_check(coverage))
     return coverage, tuple(against)
@@ -70,6 +74,17 @@ def _count_pairs(table: PairTable) -> tuple[int, int]:
     links = np.minimum(first, second) * len(number) + np.maximum(first, second)
     pieces = link[table.mover[~is_own]] * len(table.solids) + table.holder[~is_own]
     return len(np.unique(links)), len(np.unique(pieces))
+
+
+def _surfaces_check(proofs: SurfaceProofs) -> Check:
+    """Make the check of pairs whose hulls overlap, while their surfaces are proven to keep apart."""
+    gap, (a, b) = min((gap, pair) for pair, gap in proofs.gaps.items())
+    n = len(proofs.gaps)
+    text = (
+        f"the meshes of {n} {'pair' if n == 1 else 'pairs'} of links that are left out keep at least "
+        f"{round_down(1e3 * gap, 2)} mm apart, while their hulls overlap ({a} and {b})"
+    )
+    return Check("coverage.surfaces", True, gap, 0.0, "m", text, None, Basis.PROOF)
 
 
 def _no_pair_check(coverage: Coverage) -> Check:
