@@ -34,9 +34,10 @@ _MOST_COORDINATES = 4
 _MOST_SAMPLES = 500
 _PARTS = 4  # of a knot interval, in which the range of the coordinates is bounded
 _ROUNDING = 1e-9  # of coordinates
-_LOOKED = 9  # places of a motion that are looked at before cells
+_LOOKED = 4  # places of a motion that are looked at before cells
 _KEPT = 1000  # pairs whose cells are known
 _SURFACES: WeakKeyDictionary[LinkBody, dict[str, LinkSurface | None]] = WeakKeyDictionary()
+_BEYOND: WeakKeyDictionary[LinkSurface, dict[tuple[bytes, float], LinkSurface]] = WeakKeyDictionary()
 _SPACES: dict[tuple[object, ...], LinkPairSpace] = {}
 
 Cell = tuple[int, tuple[int, ...]]
@@ -87,7 +88,7 @@ class LinkPairSpace:
         """
         gap, todo, computed, start = np.inf, self._list_cells(low, high), 0, places[0]
         begin: Cell | None = None
-        is_known = all(self.known.get(cell, 0.0) > 0.0 for cell in todo)
+        is_known = all(cell in self.known for cell in todo)
         if not is_known and any(self._measure(place, place) == 0.0 for place in places):
             return 0.0
         while todo:
@@ -241,7 +242,7 @@ class SurfaceProofs:
             own, other = surfaces[k], surfaces[1 - k]
             if own is None or other is None:
                 return False
-            far = own.beyond(centres[k], radius)
+            far = self._read_beyond(own, centres[k], radius)
             if len(far.triangles) and self._prove(*((far, other) if k == 0 else (other, far)), at) == 0.0:
                 return False
         return True
@@ -253,6 +254,14 @@ class SurfaceProofs:
         if link not in known:
             known[link] = read_surface(robot, link)
         return known[link]
+
+    @staticmethod
+    def _read_beyond(own: LinkSurface, centre: Float[np.ndarray, "3"], radius: float) -> LinkSurface:
+        known = _BEYOND.setdefault(own, {})
+        key = (centre.tobytes(), radius)
+        if key not in known:
+            known[key] = own.beyond(centre, radius)
+        return known[key]
 
     def _prove(self, first: LinkSurface | None, second: LinkSurface | None, at: float) -> float:
         if first is None or second is None or not (first.has_mesh or second.has_mesh):
