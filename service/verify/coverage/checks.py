@@ -56,8 +56,10 @@ def check_coverage(
     )
     against = [*report_missing_checks(required, checks), *check_overlaps(left_out), *check_pressed(prepared.phases)]
     drawn = list_drawn_links(prepared) - tree.shaped
+    large = [item for item in shapeless if not item.is_small]
+    remedy = [item.link for item in large if item.link in drawn]
     against += [
-        _size_check(item, item.link in tree.shaped, item.link in drawn) for item in shapeless if not item.is_small
+        _size_check(item, item.link in tree.shaped, remedy if item.link in remedy[:1] else ()) for item in large
     ]
     against += [_surfaces_check(proofs)] if proofs.gaps else []
     if n_link_pairs + n_piece_pairs == 0:
@@ -93,11 +95,13 @@ def _no_pair_check(coverage: Coverage) -> Check:
     return Check("coverage.pairs", True, 0.0, 1.0, "pairs", text, None, Basis.UNPROVEN)
 
 
-def _size_check(item: Shapeless, has_token: bool, is_drawn: bool) -> Check:
+def _size_check(item: Shapeless, has_token: bool, drawn: Sequence[str]) -> Check:
+    """Make the check of a link; ``drawn`` are all links whose drawn shapes may be taken, which the first one names."""
     where = {"between": "between links with shapes", "end": "at an end", "root": "at the root"}[item.place]
     size = "is of unknown size" if np.isnan(item.reach_m) else f"{1e3 * item.reach_m:.0f} mm of it are in no shape"
     lack = "a collision shape far smaller than the link" if has_token else "no collision shape"
     text = f"{item.link} ({where}) has {lack} and {size}; at most {1e3 * SMALL_LINK_M:.0f} mm go unchecked"
-    if is_drawn:
-        text += f"; robot.drawn_links: [{item.link}] checks its drawn shapes"
+    if drawn:
+        whose = "its drawn shapes" if len(drawn) == 1 else "their drawn shapes"
+        text += f"; robot.drawn_links: [{', '.join(drawn)}] checks {whose}"
     return Check(f"coverage.shape.{item.link}", True, item.reach_m, SMALL_LINK_M, "m", text, None, Basis.UNPROVEN)
