@@ -296,7 +296,7 @@ class WholeBody:
         """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
         if self.touches is not None:
             return self.touches
-        return make_standing_allowances(self.planted, self.scene)
+        return make_standing_allowances(self.robot, self.planted, self.scene)
 
     def make_problem(
         self,

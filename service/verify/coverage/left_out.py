@@ -25,7 +25,7 @@ _SAMPLES = 32  # sampled first; pairs that overlap at no sample are proven apart
 _ALWAYS_SHARE, _POSES = 0.9, 300
 # A part of a link fixed to the world that was this far from a joint neighbour does not belong to the joint [m].
 _APART_M = 0.05
-_STILL = 1e-9  # range of a coordinate that counts as none [rad, m]
+_STILL_M = 1e-3  # of two links against each other: less than what a relative pose that is kept may be off
 # Results of _is_around_a_joint by the first body of the pair, kept because they take longer than many proofs.
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
@@ -151,16 +151,13 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
 
 
 def _is_still(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> bool:
-    """Return whether no joint between two links moves: they are as they were at the start."""
-    low, high = (side.T for side in prepared.range)
-    model = prepared.motion.robot.model
-    for joint in tree.path(*pair):
-        # A joint that follows another one has no coordinate of its own, and the index of the one it follows.
-        first, size = int(model.joints[joint].idx_q), max(int(model.joints[joint].nq), 1)
-        own = slice(first, first + size)
-        if float((high[own].max(axis=1) - low[own].min(axis=1)).max()) > _STILL:
-            return False
-    return True
+    """Return whether the joints between two links move them by less than ``_STILL_M``: they are as at the start."""
+    low, high = prepared.range
+    moved = high.max(axis=0) - low.min(axis=0)
+    holder, mover = (tree.joint[link] for link in pair)
+    points = [body.vertices for body in prepared.motion.robot.bodies if body.link == pair[1]]
+    chain = prepared.tree.chain(holder, mover, np.concatenate(points))
+    return float((chain.reach * chain.ratio * moved[chain.coordinates]).sum()) <= _STILL_M
 
 
 @dataclass(frozen=True)
