@@ -16,6 +16,7 @@ from costs.robot import LinkSurface, RobotModel, load_robot, read_surface
 from service.planner import plan
 from service.request.file import parse_request
 from service.result.result import PlanResult
+from service.verify.coverage import apart
 from service.verify.coverage.apart import LinkPairSpace
 from service.verify.coverage.surface_gap import HeldSurface
 from service.verify.joint_chain import JointTree
@@ -70,7 +71,11 @@ def _swing(folder: Path, angle: float) -> PlanResult:
     return plan(parse_request({"robot": robot, "goal": goal, "scene": scene}, folder))
 
 
-def test_a_rod_that_turns_within_a_fork_is_certified_and_one_that_meets_it_is_not(folder: Path) -> None:
+@pytest.mark.parametrize("most_coordinates", [4, 1], ids=["cells", "along the motion"])
+def test_a_rod_that_turns_within_a_fork_is_certified_and_one_that_meets_it_is_not(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, most_coordinates: int
+) -> None:
+    monkeypatch.setattr(apart, "_MOST_COORDINATES", most_coordinates)
     within = _swing(folder, 0.1)
     assert within.verdict.value == "CERTIFIED", within.explanation
     check = next(check for check in within.certificate.checks if check.name == "coverage.surfaces")

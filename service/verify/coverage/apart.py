@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import pairwise, product
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -30,7 +30,8 @@ from service.verify.prepared_motion import ForwardKinematics, PreparedMotion
 _TURN, _SLIDE = 0.4, 0.1  # widths of the largest cells [rad, m]
 _HALVINGS = 6
 _MOST_CELLS = 4000  # computed for a pair in one proof
-_MOST_COORDINATES = 4
+_MOST_INTERVALS = 500  # of a motion, for a pair that has no cells
+_MOST_COORDINATES = 4  # with which there are cells
 _MOST_SAMPLES = 500
 _PARTS = 4  # of a knot interval, in which the range of the coordinates is bounded
 _ROUNDING = 1e-9  # of coordinates
@@ -64,7 +65,7 @@ class LinkPairSpace:
         holder, self._mover = (second, first) if is_above else (first, second)
         self._holder = HeldSurface(holder)
         self._forward, self._n = ForwardKinematics(model), int(model.nq)
-        chain = tree.chain(holder.joint, self._mover.joint, self._mover.vertices)
+        self._chain = chain = tree.chain(holder.joint, self._mover.joint, self._mover.vertices)
         self.coordinates = np.array(sorted(set(chain.coordinates.tolist())), dtype=int)
         turns = [bool(chain.is_revolute[chain.coordinates == c].any()) for c in self.coordinates]
         self._widths = np.where(np.array(turns, dtype=bool), _TURN, _SLIDE)
@@ -111,6 +112,37 @@ class LinkPairSpace:
                 todo += self._halve(cell, low, high)
         return 0.0 if begin is None or self._is_nested(begin, start) else float(gap)
 
+    def prove_along(self, prepared: PreparedMotion, places: Float[np.ndarray, "P"]) -> float:
+        """Return a lower bound of the gap along a motion, for links with many joints between; 0 if there is none [m].
+
+        Args:
+            prepared: the motion, which is split until the triangles keep apart by more than they leave their chords.
+            places: path parameters that are looked at first; neither link may be inside the other at the first one.
+        """
+        at = prepared.motion.curve(places)[:, self.coordinates]
+        if any(self._measure(place, place) == 0.0 for place in at) or self._is_nested(None, at[0]):
+            return 0.0
+        edges, gap, computed = prepared.edges.tolist(), np.inf, 0
+        todo = [(first, last, 0) for first, last in pairwise(edges) if last > first]
+        while todo:
+            poll()
+            first, last, level = todo.pop()
+            over = prepared.over(np.array([first]), np.array([last]))
+            stray = float((self._chain.deviation(over) + self._chain.sampling_slack(over, _ROUNDING))[0])
+            ends = prepared.motion.curve(np.array([first, last]))[:, self.coordinates]
+            own = self._holder.bound_gap(
+                self._mover.triangles, self._place(ends), np.full(len(self._mover.vertices), stray)
+            )
+            computed += 1
+            if own > 0.0:
+                gap = min(gap, own)
+            elif level >= _HALVINGS or computed > _MOST_INTERVALS:
+                return 0.0
+            else:
+                middle = 0.5 * (first + last)
+                todo += [(first, middle, level + 1), (middle, last, level + 1)]
+        return float(gap)
+
     def _list_cells(self, low: Float[np.ndarray, "I m"], high: Float[np.ndarray, "I m"]) -> list[Cell]:
         """Return the largest cells that meet a box."""
         first, last = (np.floor(side / self._widths).astype(int) for side in (low, high))
@@ -147,16 +179,19 @@ class LinkPairSpace:
         turned, shifted = self._forward.at(q).relative(self._holder.surface.joint, self._mover.joint)
         return np.asarray(self._mover.vertices @ np.swapaxes(turned, -1, -2) + shifted[:, None])
 
-    def _is_nested(self, cell: Cell, at: Float[np.ndarray, "m"]) -> bool:
+    def _is_nested(self, cell: Cell | None, at: Float[np.ndarray, "m"]) -> bool:
         """Return whether one link is inside the other, which in a cell where they keep apart is the same everywhere."""
-        if cell not in self._nested:
+        if cell is None or cell not in self._nested:
             holder, mover = self._holder.surface, self._mover
             q = np.zeros((1, self._n))
             q[:, self.coordinates] = at
             turned, shifted = (part[0] for part in self._forward.at(q).relative(holder.joint, mover.joint))
             inward = mover.samples[:_MOST_SAMPLES] @ turned.T + shifted
             outward = (holder.samples[:_MOST_SAMPLES] - shifted) @ turned
-            self._nested[cell] = bool(holder.holds(inward).any() or mover.holds(outward).any())
+            is_nested = bool(holder.holds(inward).any() or mover.holds(outward).any())
+            if cell is None:
+                return is_nested
+            self._nested[cell] = is_nested
         return self._nested[cell]
 
 
@@ -267,10 +302,10 @@ class SurfaceProofs:
         if first is None or second is None or not (first.has_mesh or second.has_mesh):
             return 0.0
         space = self._find_space(first, second)
-        if not space.is_small:
-            return 0.0
         knots = self.prepared.motion.curve.knots
         places = np.array([knots[0], at, *np.linspace(knots[0], knots[-1], _LOOKED)[1:]])
+        if not space.is_small:
+            return space.prove_along(self.prepared, places)
         low, high = bound_ranges(self.prepared, space.coordinates)
         return space.prove(low, high, self.prepared.motion.curve(places)[:, space.coordinates])
 
