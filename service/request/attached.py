@@ -8,7 +8,7 @@ from pydantic import Field, StrictBool
 from pydantic.dataclasses import dataclass
 
 from service.request.fields import SECTION, Name, Number, Point, Section, at_most
-from service.request.scene import BoxRequest, ConvexRequest, CylinderRequest, MeshFile, SphereRequest
+from service.request.scene import BoxRequest, CarriedMesh, ConvexRequest, CylinderRequest, SphereRequest
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -54,7 +54,7 @@ class ConvexPart(Section):
 
 
 @dataclass(config=SECTION, kw_only=True)
-class AttachedMesh(_Carried, MeshFile):
+class AttachedMesh(_Carried, CarriedMesh):
     """Carried mesh, split into convex ``parts``, which planning reads from the file.
 
     Without ``decompose`` the mesh's hull is the only part.

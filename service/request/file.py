@@ -14,7 +14,7 @@ from service.errors import RequestError, shown
 from service.request.attached import AttachedMesh
 from service.request.formats import FORMAT
 from service.request.plain_file import adapter_of, load_section, parse_section, read_text, read_yaml
-from service.request.scene import MeshFile, MovableMesh
+from service.request.scene import CarriedMesh, MeshRequest, MovableMesh
 from service.request.schema import PlanRequest
 from service.request.task_files.expand import use_task
 from service.request.versions import find_first_format, write_as
@@ -141,7 +141,7 @@ def _list_shapes(request: PlanRequest) -> dict[str, tuple[Any, ...]]:
 def _is_read(item: object) -> bool:
     """Return whether a shape is a mesh that has not been read into the request."""
     is_known = (isinstance(item, MovableMesh) and item.points) or (isinstance(item, AttachedMesh) and item.parts)
-    return isinstance(item, MeshFile) and not is_known
+    return isinstance(item, CarriedMesh | MeshRequest) and not is_known
 
 
 def _relative(request: PlanRequest, path: Path) -> str:

@@ -114,28 +114,30 @@ class ConvexRequest(_Placed):
 
 
 @dataclass(config=SECTION, kw_only=True)
-class MeshFile(_Placed):
-    """A mesh file: STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero.
+class MeshRequest(_Placed):
+    """A mesh file (STL, OBJ, PLY, DAE, GLB, glTF, or a URDF with every joint at zero), split into convex pieces.
 
     ``scale`` is metres per unit of the file, ``scale_xyz`` further factors along its axes, negative to mirror it.
+    Without ``decompose`` the mesh's hull is the only piece.  With ``match`` its pose is searched in the scan near the
+    given one, and points on or inside the mesh do not become pieces.
     """
 
     type: Literal["mesh"]
     file: FilePath
     scale: _Scale = 1.0
     scale_xyz: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 1.0)
+    decompose: StrictBool = True
+    match: StrictBool = False
 
 
 @dataclass(config=SECTION, kw_only=True)
-class MeshRequest(MeshFile):
-    """A mesh that is split into convex pieces.
+class CarriedMesh(_Placed):
+    """A mesh file of something that links carry or hands take, as of a ``MeshRequest``; planning reads it once."""
 
-    Without ``decompose`` the mesh's hull is the only piece.  With ``match`` its pose is searched in the scan near the
-    given one, and points on or inside the mesh do not become pieces.
-    """
-
-    decompose: StrictBool = True
-    match: StrictBool = False
+    type: Literal["mesh"]
+    file: FilePath
+    scale: _Scale = 1.0
+    scale_xyz: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 1.0)
 
 
 @dataclass(config=SECTION, kw_only=True)
@@ -217,7 +219,7 @@ class MovableConvex(ConvexRequest, _Movable):
 
 
 @dataclass(config=SECTION, kw_only=True)
-class MovableMesh(MeshFile, _Movable):
+class MovableMesh(CarriedMesh, _Movable):
     """A convex mesh that hands may take; planning reads the corners of its hull into ``points``."""
 
     points: Annotated[tuple[Point, ...], at_most(10_000)] = ()

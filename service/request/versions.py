@@ -73,7 +73,7 @@ ADDED = {
         "KeepRequest.look_axis",
         "KeepRequest.region",
         "KeepRequest.until",
-        "MeshFile.scale_xyz",
+        "MeshRequest.scale_xyz",
         "LeafChoice.slant_rad",
         "Options.clearance_m",
         "Options.hand_friction",

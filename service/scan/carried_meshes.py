@@ -10,7 +10,7 @@ from jaxtyping import Float
 from service.errors import RequestError
 from service.request.attached import AttachedMesh, ConvexPart
 from service.request.fields import Point
-from service.request.scene import MeshFile, MovableMesh
+from service.request.scene import CarriedMesh, MovableMesh
 from service.request.schema import PlanRequest
 
 CONVEX_SHARE = 0.95  # of its hull that a mesh fills which fingers may hold
@@ -56,7 +56,7 @@ def _read_corners(request: PlanRequest, item: MovableMesh, field: str) -> Movabl
 
 
 def _split(
-    request: PlanRequest, item: MeshFile, field: str, *, decompose: bool
+    request: PlanRequest, item: CarriedMesh, field: str, *, decompose: bool
 ) -> tuple[list[Float[np.ndarray, "V 3"]], float]:
     """Return the convex parts of a mesh, and the share of its hull that it fills."""
     from service.scan.meshes import read_solid, split_convex
