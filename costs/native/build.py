@@ -17,7 +17,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = ("costs/native/distance.c", "costs/native/many.c", "service/verify/clearance/bounds.c")
+SOURCES = (
+    "costs/native/distance.c",
+    "costs/native/many.c",
+    "service/verify/clearance/bounds.c",
+    "service/verify/coverage/surfaces.c",
+)
 HEADERS = ("costs/native/distance.h",)
 LIBRARY = "costs/native/kernel.so"
 ZIG = "ziglang==0.13.0"

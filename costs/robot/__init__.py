@@ -3,7 +3,7 @@
 from costs.robot.attach import AttachedBody, with_attached
 from costs.robot.circles import WHOLE_TURN, list_circular, turn_near
 from costs.robot.contact_patches import PATCH_DEFAULTS, PatchData, PatchKind, with_contacts
-from costs.robot.elements.inertia import LinkInertia
+from costs.robot.elements.inertia import LinkInertia, spread_mass
 from costs.robot.errors import RobotError
 from costs.robot.load import Root
 from costs.robot.mechanism import (
@@ -26,6 +26,7 @@ from costs.robot.mesh import Mesh as Triangles
 from costs.robot.mesh import find_package_folders
 from costs.robot.mesh import read_mesh as read_triangles
 from costs.robot.mesh.split import LinkSplit
+from costs.robot.mesh.surface import LinkSurface, read_surface
 from costs.robot.mesh.visual import VisualMesh
 from costs.robot.model import BASE_NAMES, PLANAR_NAMES, LinkBody, RobotHand, RobotModel, RobotSource
 from costs.robot.named import bundled_contacts, bundled_robots, load_robot, read_followers, read_robot_visuals
@@ -43,6 +44,7 @@ __all__ = [
     "LinkInertia",
     "LinkPlace",
     "LinkSplit",
+    "LinkSurface",
     "Mechanism",
     "MechanismJoint",
     "PatchData",
@@ -71,7 +73,9 @@ __all__ = [
     "read_mesh_hulls",
     "read_object_shapes",
     "read_robot_visuals",
+    "read_surface",
     "read_triangles",
+    "spread_mass",
     "turn_near",
     "with_attached",
     "with_contacts",

@@ -63,6 +63,12 @@ class Solid:
     open: tuple[Mesh, ...]
     notes: tuple[str, ...]
 
+    @property
+    def hull_share(self) -> float:
+        """Share of the convex hull that the closed parts fill; where they overlap counts for each."""
+        points = np.concatenate([mesh.vertices for mesh in (*self.closed, *self.open)])
+        return sum(mesh.volume for mesh in self.closed) / float(ConvexHull(points).volume)
+
 
 def make_solid(mesh: Mesh, name: str = "mesh") -> Solid:
     """Return the repaired mesh in parts: vertices welded, parts separated, triangles wound outwards, holes filled.

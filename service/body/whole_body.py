@@ -315,7 +315,7 @@ class WholeBody:
         """Return the allowances of planted links: those of their contacts, by default with what carries their soles."""
         if self.touches is not None:
             return self.touches
-        return make_standing_allowances(self.planted, self.scene)
+        return make_standing_allowances(self.robot, self.planted, self.scene)
 
     def make_problem(
         self,
@@ -412,10 +412,17 @@ class WholeBody:
     def bounds(
         self, n_waypoints: int, fixed: Mapping[int, Float[np.ndarray, "n"]]
     ) -> tuple[Float[np.ndarray, "T n"], Float[np.ndarray, "T n"]]:
-        """Return joint limits with a reserve at free waypoints, the given configurations at fixed ones."""
+        """Return joint limits with a reserve at free waypoints, the given configurations at fixed ones.
+
+        A joint that is nearer to a limit at all fixed waypoints, or in the nominal posture where there are none, may
+        stay there: nothing asks it to move.
+        """
         reserve = np.minimum(LIMIT_RESERVE, 0.05 * (self.robot.upper - self.robot.lower))
-        lower = np.tile(self.robot.lower + reserve, (n_waypoints, 1))
-        upper = np.tile(self.robot.upper - reserve, (n_waypoints, 1))
+        least, most = self.robot.lower + reserve, self.robot.upper - reserve
+        ends = np.array([*fixed.values()] or [self.nominal])
+        least = np.where(ends.max(axis=0) < least, np.maximum(ends.min(axis=0), self.robot.lower), least)
+        most = np.where(ends.min(axis=0) > most, np.minimum(ends.max(axis=0), self.robot.upper), most)
+        lower, upper = (np.tile(bound, (n_waypoints, 1)) for bound in (least, most))
         for waypoint, q in fixed.items():
             lower[waypoint] = upper[waypoint] = q
         return lower, upper

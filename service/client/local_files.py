@@ -10,7 +10,8 @@ from pathlib import Path
 
 from service.errors import RequestError, shown
 from service.proto.planner.v1.planner_pb2 import CloudHeader, UploadCloudRequest
-from service.request.scene import MESH_SUFFIXES, MeshRequest, SceneRequest
+from service.request.file import list_mesh_files, replace_mesh_files
+from service.request.scene import MESH_SUFFIXES
 from service.request.schema import PlanRequest, RobotRequest
 from service.request.tasks.mechanism import MAX_TEXT, MechanismRequest, is_urdf_text
 from service.request.tasks.registry import TaskRequest
@@ -101,14 +102,15 @@ def resolve_paths(request: PlanRequest, is_this_machine: bool) -> PlanRequest:
         raise RequestError(problems)
     if not is_this_machine:
         return request
-    return replace(request, robot=_resolve_robot(request), scene=_resolve_scene(request), task=_resolve_task(request))
+    request = replace_mesh_files(request, lambda name: name if is_uploaded(name) else _absolute(request, name))
+    return replace(request, robot=_resolve_robot(request), task=_resolve_task(request))
 
 
 def find_local_files(request: PlanRequest) -> dict[str, Path]:
     """Return the files of a request's scene that exist here, by their names in the request."""
     scene = request.scene
     names = [cloud.file for cloud in scene.cloud_files]
-    names += [mesh.file for mesh in scene.obstacles if isinstance(mesh, MeshRequest) and is_uploaded(mesh.file)]
+    names += [file for _, file in list_mesh_files(request) if is_uploaded(file)]
     names += [] if scene.file is None else [scene.file]
     paths = {name: request.resolve(name) for name in names}
     return {name: path for name, path in paths.items() if path.is_file()}
@@ -124,12 +126,8 @@ def replace_by_ids(request: PlanRequest, ids: Mapping[str, str]) -> PlanRequest:
     else:
         renamed = tuple(replace(part, file=ids.get(part.file, part.file)) for part in cloud)
     file = None if scene.file is None else ids.get(scene.file, scene.file)
-    obstacles = tuple(
-        replace(obstacle, file=ids.get(obstacle.file, obstacle.file)) if isinstance(obstacle, MeshRequest) else obstacle
-        for obstacle in scene.obstacles
-    )
-    scene = replace(scene, cloud=renamed, file=file, obstacles=obstacles)  # type: ignore[arg-type]
-    return replace(request, scene=scene)
+    scene = replace(scene, cloud=renamed, file=file)  # type: ignore[arg-type]
+    return replace_mesh_files(replace(request, scene=scene), lambda name: ids.get(name, name))
 
 
 def is_uploaded(mesh: str) -> bool:
@@ -160,16 +158,6 @@ def _resolve_robot(request: PlanRequest) -> RobotRequest:
     urdf, srdf = (None if path is None else _absolute(request, path) for path in (robot.urdf, robot.srdf))
     folders = tuple(_absolute(request, path) for path in robot.package_dirs)
     return replace(robot, urdf=urdf, srdf=srdf, package_dirs=folders)
-
-
-def _resolve_scene(request: PlanRequest) -> SceneRequest:
-    obstacles = tuple(
-        replace(obstacle, file=_absolute(request, obstacle.file))
-        if isinstance(obstacle, MeshRequest) and not is_uploaded(obstacle.file)
-        else obstacle
-        for obstacle in request.scene.obstacles
-    )
-    return replace(request.scene, obstacles=obstacles)
 
 
 def _inline_urdfs(request: PlanRequest) -> TaskRequest | None:

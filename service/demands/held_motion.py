@@ -212,7 +212,7 @@ class _Standing:
             neighbours = make_neighbour_allowances(augmented, scene, np.concatenate([start, task.moved.start]))
         return _Standing(
             stance,
-            make_standing_allowances(stance.contacts, scene),
+            make_standing_allowances(robot, stance.contacts, scene),
             leaving,
             neighbours,
             kept,
@@ -245,7 +245,7 @@ class _Standing:
         if demand.stands is not None:
             feet = tuple(contact.link for contact in stance.contacts)
             stance = Stance.of(stance.robot, demand.stands, feet, stance.margin_m, stance.hull is not None)
-            floors = make_standing_allowances(stance.contacts, self.scene)
+            floors = make_standing_allowances(stance.robot, stance.contacts, self.scene)
         return replace(
             own,
             contacts=stance.contacts,

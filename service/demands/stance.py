@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +17,15 @@ from costs.support import SupportPolygon as FeetHull
 from costs.work_space import borrow_data
 from service.start.overlaps import Overlap
 from service.start.resting import SUPPORT_DEPTH_M
-from service.start.standing import FEET_GROUP, is_level, list_carrying_pieces, sole_corners
+from service.start.standing import (
+    FEET_GROUP,
+    FLOOR_KIND,
+    WHEEL_DEPTH_M,
+    is_level,
+    list_carrying_pieces,
+    list_links_on_wheels,
+    sole_corners,
+)
 from service.verify import STANDING_DEPTH_M, PlantedContact, SupportPolygon, find_normals
 
 # Phases that bring a robot into balance, in the order in which they may come first.
@@ -123,13 +132,21 @@ def list_planted_feet(robot: RobotModel, feet: tuple[str, ...] | None) -> tuple[
     return robot.link_groups.get(FEET_GROUP, ()) if feet is None else feet
 
 
-def make_standing_allowances(planted: Sequence[PlantedContact], scene: Scene) -> tuple[Allowance, ...]:
-    """Return the allowances of planted links with what carries their soles: floors, mats, boards, boxes."""
-    return tuple(
+def make_standing_allowances(
+    robot: RobotModel, planted: Sequence[PlantedContact], scene: Scene
+) -> tuple[Allowance, ...]:
+    """Return the allowances of planted links with what carries their soles: floors, mats, boards, boxes.
+
+    What a base on wheels carries at a height that no motion changes may touch floors.
+    """
+    soles = tuple(
         Allowance(BodyRef.of_link(contact.link), BodyRef.of_piece(name), STANDING_DEPTH_M)
         for contact in planted
         for name in list_carrying_pieces(contact.points, scene.pieces)
     )
+    floors = [piece.name for piece in scene.pieces if piece.kind == FLOOR_KIND]
+    wheels = product(list_links_on_wheels(robot), floors)
+    return (*soles, *(Allowance(BodyRef.of_link(a), BodyRef.of_piece(b), WHEEL_DEPTH_M) for a, b in wheels))
 
 
 def make_resting_allowances(rests: Sequence[tuple[str, str]]) -> tuple[Allowance, ...]:

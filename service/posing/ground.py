@@ -57,7 +57,7 @@ class PoseGround:
         if setup.is_stopped:
             return None
         start = write_pose(setup.robot, setup.start)
-        return PoseGround(secrets.token_hex(16), request, setup.scene, start, setup.contacts, setup.notes)
+        return PoseGround(secrets.token_hex(16), setup.request, setup.scene, start, setup.contacts, setup.notes)
 
     def make_world(self, robot: RobotModel) -> PoseWorld:
         """Return the world with the request's robot.

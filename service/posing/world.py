@@ -97,7 +97,7 @@ class PoseWorld:
             1.0,
             contacts=stance.contacts,
             support=stance.support("pose", body.nominal),
-            allowances=make_standing_allowances(stance.contacts, body.scene),
+            allowances=make_standing_allowances(self.robot, stance.contacts, body.scene),
         )
         demanded = body.aims.distances
         return RestingPoses(self.robot, body.scene, phase, body.nominal, demanded.clearance_m, demanded.padding)

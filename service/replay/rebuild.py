@@ -27,6 +27,7 @@ from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.registry import ADDED
+from service.scan.carried_meshes import inline_carried
 from service.setup.given_objects import check_given_objects
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings
@@ -108,7 +109,7 @@ def rebuild_demands(
     Raises:
         RequestError: the request, or a file that it names, cannot be used.
     """
-    request = inline_mechanisms(request)
+    request = inline_carried(inline_mechanisms(request))
     request_from = "the request in this folder" if given is None else given.name
     robot, robot_from = _rebuild_robot(request, record, given is not None, request_from)
     resolved = find_demand_part(request).resolve_start(request.section, request, robot)

@@ -6,13 +6,15 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from service.errors import RequestError, shown
+from service.request.attached import AttachedMesh
 from service.request.formats import FORMAT
 from service.request.plain_file import adapter_of, load_section, parse_section, read_text, read_yaml
+from service.request.scene import CarriedMesh, MeshRequest, MovableMesh
 from service.request.schema import PlanRequest
 from service.request.task_files.expand import use_task
 from service.request.versions import find_first_format, write_as
@@ -21,6 +23,7 @@ __all__ = [
     "adapter_of",
     "has_hash",
     "hash_request_data",
+    "list_mesh_files",
     "load_request",
     "load_section",
     "parse_request",
@@ -28,6 +31,7 @@ __all__ = [
     "read_plain_request",
     "replace_cloud",
     "replace_clouds",
+    "replace_mesh_files",
     "replace_options",
     "request_hash",
     "to_json",
@@ -107,6 +111,37 @@ def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
         return _with_scene(request, cloud=paths[0])
     files = tuple(dataclasses.replace(file, file=path) for file, path in zip(scene.cloud_files, paths, strict=True))
     return _with_scene(request, cloud=files)
+
+
+def list_mesh_files(request: PlanRequest) -> Iterator[tuple[str, str]]:
+    """Yield field and file of each mesh that is to be read: of obstacles, movable objects and carried bodies."""
+    for field, items in _list_shapes(request).items():
+        for index, item in enumerate(items):
+            if _is_read(item):
+                yield f"{field}[{index}].file", item.file
+
+
+def replace_mesh_files(request: PlanRequest, rename: Callable[[str], str]) -> PlanRequest:
+    """Return the request with other names of the files that ``list_mesh_files`` lists."""
+    if not any(True for _ in list_mesh_files(request)):
+        return request
+    obstacles, objects, attached = (
+        tuple(dataclasses.replace(item, file=rename(item.file)) if _is_read(item) else item for item in items)
+        for items in _list_shapes(request).values()
+    )
+    return dataclasses.replace(_with_scene(request, obstacles=obstacles, objects=objects), attached=attached)
+
+
+def _list_shapes(request: PlanRequest) -> dict[str, tuple[Any, ...]]:
+    """Return the shapes that may be meshes by the field that lists them."""
+    scene = request.scene
+    return {"scene.obstacles": scene.obstacles, "scene.objects": scene.objects, "attached": request.attached}
+
+
+def _is_read(item: object) -> bool:
+    """Return whether a shape is a mesh that has not been read into the request."""
+    is_known = (isinstance(item, MovableMesh) and item.points) or (isinstance(item, AttachedMesh) and item.parts)
+    return isinstance(item, CarriedMesh | MeshRequest) and not is_known
 
 
 def _relative(request: PlanRequest, path: Path) -> str:

@@ -14,8 +14,8 @@ from pydantic.dataclasses import is_pydantic_dataclass, rebuild_dataclass
 from pydantic_core import ErrorDetails
 
 from service.errors import RequestError, shown, would_do
-from service.request.scene import ObstacleRequest
-from service.request.schema import AttachedRequest
+from service.request.attached import AttachedRequest
+from service.request.scene import CutRequest, ObjectRequest, ObstacleRequest
 from service.request.shapes import PartRequest
 
 MAX_BYTES = 1_000_000
@@ -23,6 +23,9 @@ MAX_DEPTH = 20
 
 T = TypeVar("T")
 _ADAPTERS: dict[type, TypeAdapter[Any]] = {}
+_UNIONS = {"parts": PartRequest, "attached": AttachedRequest, "objects": ObjectRequest, "cuts": CutRequest}
+"""Shapes by the part of a location that lists them; others are obstacles."""
+
 # Messages for pydantic's error types, filled in from the error's context; other types keep pydantic's message.
 _WORDS = {
     "float_type": "a number is needed",
@@ -170,7 +173,7 @@ def _line(data: Mapping[str, Any], detail: ErrorDetails) -> str:
     elif kind == "missing":
         return f"{field}: is missing"
     elif kind.startswith("union_tag"):
-        union = PartRequest if "parts" in location else AttachedRequest if "attached" in location else ObstacleRequest
+        union = next((union for part, union in _UNIONS.items() if part in location), ObstacleRequest)
         known = [get_args(get_type_hints(shape)["type"])[0] for shape in get_args(get_args(union)[0])]
         tag = context.get("tag")
         words = f"a type is needed, got {shown(value)}" if tag is None else f"unknown type {shown(tag)}"

@@ -131,6 +131,16 @@ class MeshRequest(_Placed):
 
 
 @dataclass(config=SECTION, kw_only=True)
+class CarriedMesh(_Placed):
+    """A mesh file of something that links carry or hands take, as of a ``MeshRequest``; planning reads it once."""
+
+    type: Literal["mesh"]
+    file: FilePath
+    scale: _Scale = 1.0
+    scale_xyz: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 1.0)
+
+
+@dataclass(config=SECTION, kw_only=True)
 class _Obstacle:
     """A shape that a scan may show as well.
 
@@ -208,7 +218,14 @@ class MovableConvex(ConvexRequest, _Movable):
     """A convex hull that hands may take."""
 
 
-ObjectRequest = Annotated[MovableBox | MovableCylinder | MovableConvex, Field(discriminator="type")]
+@dataclass(config=SECTION, kw_only=True)
+class MovableMesh(CarriedMesh, _Movable):
+    """A convex mesh that hands may take; planning reads the corners of its hull into ``points``."""
+
+    points: Annotated[tuple[Point, ...], at_most(10_000)] = ()
+
+
+ObjectRequest = Annotated[MovableBox | MovableCylinder | MovableConvex | MovableMesh, Field(discriminator="type")]
 
 
 @dataclass(config=SECTION)

@@ -15,6 +15,7 @@ from pydantic.dataclasses import dataclass
 from pydantic_core import PydanticCustomError
 
 from service.errors import shown
+from service.request.attached import AttachedRequest
 from service.request.contact_patch import ContactPatchRequest
 from service.request.fields import (
     HAND_FRICTION,
@@ -37,7 +38,7 @@ from service.request.keep import KeepRequest, refuse_contradictions
 from service.request.paces import PACES
 from service.request.resume import Hash, ResumeRequest
 from service.request.robot_parts import RobotHandRequest, RobotServoRequest, RobotTorqueRequest
-from service.request.scene import BoxRequest, CylinderRequest, SceneRequest, SphereRequest
+from service.request.scene import SceneRequest
 from service.request.tasks.kind import TaskKind, TaskSection
 from service.request.tasks.reach import GoalRequest
 from service.request.tasks.registry import REACH, TaskRequest
@@ -236,39 +237,6 @@ class Options(Section):
     def acceleration_share(self) -> float:
         """Share of the robot's acceleration limits that is used."""
         return self.acceleration_scale if self.pace is None else PACES[self.pace].acceleration_scale
-
-
-@dataclass(config=SECTION, kw_only=True)
-class _Carried(Section):
-    """A body fixed to ``link``, with its pose in that link's frame.
-
-    Attributes:
-        link: the link that carries it.
-        touches: other links that hold it; each is kept relative to ``link``.
-        mass_kg: its mass, uniformly distributed.
-    """
-
-    link: Name
-    touches: Annotated[tuple[Name, ...], at_most(20)] = ()
-    mass_kg: Annotated[Number, Field(ge=0.0, le=1000.0)] = 0.0
-
-
-@dataclass(config=SECTION, kw_only=True)
-class AttachedBox(_Carried, BoxRequest):
-    """Carried box."""
-
-
-@dataclass(config=SECTION, kw_only=True)
-class AttachedSphere(_Carried, SphereRequest):
-    """Carried sphere."""
-
-
-@dataclass(config=SECTION, kw_only=True)
-class AttachedCylinder(_Carried, CylinderRequest):
-    """Carried cylinder."""
-
-
-AttachedRequest = Annotated[AttachedBox | AttachedSphere | AttachedCylinder, Field(discriminator="type")]
 
 
 @dataclass(config=SECTION)

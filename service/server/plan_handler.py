@@ -339,7 +339,7 @@ class _AcceptedRequest:
             message.with_files,
             message.with_waypoints,
             self.request,
-            list_files(self.local.scene),
+            list_files(self.local),
             self.warnings,
         )
 
@@ -372,7 +372,7 @@ def _is_typical(answer: Answer) -> bool:
 
 def _restore_names(problems: tuple[str, ...], request: Request, local: Request) -> tuple[str, ...]:
     """Replace paths on the server by the client's names, and prefix fields of a problem file."""
-    for path, name in zip(list_files(local.scene), list_files(request.scene), strict=True):
+    for path, name in zip(list_files(local), list_files(request), strict=True):
         problems = tuple(problem.replace(path, name) for problem in problems)
     if request.task is None or request.task.trajopt is None:
         return problems

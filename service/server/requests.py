@@ -10,8 +10,7 @@ from pathlib import Path
 
 from service.errors import RequestError
 from service.proto.planner.v1.request_pb2 import MotionRequest
-from service.request.file import parse_request
-from service.request.scene import MeshRequest, SceneRequest
+from service.request.file import list_mesh_files, parse_request, replace_mesh_files
 from service.request.schema import PlanRequest
 from service.server.refusals import refuse_invalid
 from service.server.robots import KnownRobots, RobotFolder
@@ -75,12 +74,12 @@ class RequestReader:
         """
         with_robot = self.robots.insert_files(request)
         scene = request.scene
-        ids = select_uploads(list_files(scene))
+        ids = select_uploads(list_files(request))
         with ExitStack() as stack:
             files = dict(stack.enter_context(self.clouds.open_files(ids))) if ids else {}
             if scene.file is not None and scene.file.startswith(BUILT):
                 files[scene.file] = stack.enter_context(self.scenes.open_file(scene.file))
-            yield replace(with_robot, scene=_insert_paths(scene, files)) if files else with_robot
+            yield _insert_paths(with_robot, files) if files else with_robot
 
 
 def set_warnings(warnings: tuple[str, ...]) -> None:
@@ -98,9 +97,9 @@ def kind_of(request: PlanRequest) -> str:
     return request.section.variant or request.kind.name
 
 
-def list_files(scene: SceneRequest) -> tuple[str, ...]:
-    """List the clouds, meshes and the scene file of a scene, as the request names them."""
-    meshes = (obstacle.file for obstacle in scene.obstacles if isinstance(obstacle, MeshRequest))
+def list_files(request: PlanRequest) -> tuple[str, ...]:
+    """List the clouds, meshes and the scene file of a request, as it names them."""
+    scene, meshes = request.scene, (file for _, file in list_mesh_files(request))
     return (*(cloud.file for cloud in scene.cloud_files), *meshes, *(() if scene.file is None else (scene.file,)))
 
 
@@ -109,18 +108,15 @@ def select_uploads(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name.startswith(UPLOADED))
 
 
-def _insert_paths(scene: SceneRequest, files: Mapping[str, Path]) -> SceneRequest:
+def _insert_paths(request: PlanRequest, files: Mapping[str, Path]) -> PlanRequest:
     def path_of(name: str) -> str:
         return str(files.get(name, name))
 
-    file = None if scene.file is None else path_of(scene.file)
-    obstacles = tuple(
-        replace(obstacle, file=path_of(obstacle.file)) if isinstance(obstacle, MeshRequest) else obstacle
-        for obstacle in scene.obstacles
-    )
+    scene = request.scene
     cloud = scene.cloud
     if isinstance(cloud, str):
         cloud = path_of(cloud)
     elif cloud is not None:
         cloud = tuple(replace(part, file=path_of(part.file)) for part in cloud)
-    return replace(scene, obstacles=obstacles, cloud=cloud, file=file)
+    file = None if scene.file is None else path_of(scene.file)
+    return replace_mesh_files(replace(request, scene=replace(scene, cloud=cloud, file=file)), path_of)

@@ -23,6 +23,7 @@ from service.request.scene import (
     ConvexRequest,
     CutRequest,
     MeshRequest,
+    MovableMesh,
     ObjectRequest,
     ObstacleRequest,
     SceneRequest,
@@ -307,7 +308,7 @@ def _place_shape(shape: CutRequest) -> Float[np.ndarray, "V 3"]:
 
 def _make_shape(shape: CutRequest | ObjectRequest, field: str) -> Float[np.ndarray, "V 3"]:
     """Return the corners of a shape in its own frame; round shapes become polytopes."""
-    if isinstance(shape, ConvexRequest):
+    if isinstance(shape, ConvexRequest | MovableMesh):
         return _hull(np.array(shape.points), f"{field}.points")
     return shapes.make_points(shape.type, shape.lengths)
 

@@ -15,7 +15,13 @@ from costs.primitive import Primitive
 from costs.robot import LinkBody, RobotModel
 from costs.scene import ConvexPiece, Scene
 from costs.work_space import borrow_data
-from service.start.standing import find_sole, list_carrying_pieces
+from service.start.standing import (
+    FLOOR_KIND,
+    WHEEL_DEPTH_M,
+    find_sole,
+    list_carrying_pieces,
+    list_links_on_wheels,
+)
 from service.verify import GROUND_TOLERANCE_M, make_coal_convex
 
 TOUCH_M = 1e-6
@@ -206,6 +212,8 @@ def _allowed_depth(
         return np.inf if body.joint == other.joint or pair in robot.ignored_pairs else TOUCH_M
     if body.link in robot.fixed_links:
         return np.inf
+    if other.kind == FLOOR_KIND and body.link in list_links_on_wheels(robot):
+        return WHEEL_DEPTH_M
     return GROUND_TOLERANCE_M if (body.link, other.name) in resting else TOUCH_M
 
 

@@ -24,8 +24,9 @@ from costs.robot import (
 from costs.robot.servo import list_servo_joints, make_stiffness
 from costs.rotation import pose_matrix
 from service.errors import RequestError, would_do
+from service.request.attached import AttachedConvex, AttachedMesh, AttachedRequest
 from service.request.keep import KeepRequest
-from service.request.schema import AttachedRequest, PlanRequest
+from service.request.schema import PlanRequest
 from service.start.configuration import find_unknown_joints
 from service.start.split_links import split_links
 
@@ -172,7 +173,14 @@ def attach_bodies(robot: RobotModel, request: PlanRequest) -> RobotModel:
 
 def _make_body(item: AttachedRequest) -> AttachedBody:
     pose = pose_matrix(item.position, item.quaternion_wxyz)
-    return AttachedBody(item.name, item.link, pose, item.type, item.lengths, item.mass_kg, item.touches)
+    match item:
+        case AttachedMesh():
+            parts = tuple(np.array(part.points) for part in item.parts)
+        case AttachedConvex():
+            parts = (np.array(item.points),)
+        case _:
+            return AttachedBody(item.name, item.link, pose, item.type, item.lengths, item.mass_kg, item.touches)
+    return AttachedBody(item.name, item.link, pose, "parts", (), item.mass_kg, item.touches, parts)
 
 
 def _find_unusable(robot: RobotModel, attached: Sequence[AttachedRequest], index: int) -> Iterator[str]:

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 
-from costs.robot import LinkBody, RobotModel
+from costs.robot import PLANAR_NAMES, LinkBody, RobotModel
 from costs.scene import ConvexPiece
 from costs.support import SupportPolygon
 from costs.work_space import borrow_data
@@ -25,7 +25,18 @@ MOST_SLOPE_RAD = float(np.deg2rad(20.0))  # of a sole
 LEAST_SHARE = 0.5  # of a foot's lower face that is lowest where it is level
 LOWEST_BAND_M = 0.01  # above the robot's lowest vertex: links there could be feet
 FLOOR_KIND = "floor"
+WHEEL_DEPTH_M = 0.02
+"""By which what a base on wheels carries may be in the floor: files draw wheels, and markers of the base, into it."""
+
 LARGEST_SHIFT_M = 0.03  # uncertainty of a scanned floor's height
+
+
+def list_links_on_wheels(robot: RobotModel) -> tuple[str, ...]:
+    """Return the links that a base on a plane carries at a height that no motion changes; none for other bases."""
+    if not robot.is_planar:
+        return ()
+    joint = int(robot.model.getJointId(PLANAR_NAMES[-1]))
+    return tuple(dict.fromkeys(body.link for body in robot.bodies if body.joint == joint))
 
 
 def sole_corners(robot: RobotModel, q: Float[np.ndarray, "n"], link: str) -> Float[np.ndarray, "C 3"]:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Literal
 
 from service.errors import shown
-from service.request.scene import MeshRequest, SceneRequest
+from service.request.file import list_mesh_files
+from service.request.scene import SceneRequest
 from service.request.schema import PlanRequest, RobotRequest
 from service.trust.errors import TrustError
 
@@ -99,6 +100,8 @@ def list_paths(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
     """Yield field, path and kind of every file that a request names."""
     yield from _robot_paths(request.robot)
     yield from _scene_paths(request.scene)
+    for field, path in list_mesh_files(request):
+        yield field, path, "mesh"
     for name, path in request.section.list_paths():
         yield f"{request.kind.field}.{name}", path, "file"
 
@@ -116,6 +119,3 @@ def _scene_paths(scene: SceneRequest) -> Iterator[tuple[str, str, Kind]]:
         yield "scene.file", scene.file, "scene"
     for index, cloud in enumerate(scene.cloud_files):
         yield ("scene.cloud" if isinstance(scene.cloud, str) else f"scene.cloud[{index}].file"), cloud.file, "cloud"
-    for index, obstacle in enumerate(scene.obstacles):
-        if isinstance(obstacle, MeshRequest):
-            yield f"scene.obstacles[{index}].file", obstacle.file, "mesh"

@@ -155,6 +155,11 @@ class JointTree:
         self._n_base = n_base
         self._known = _borrow_chains(model)
 
+    @property
+    def travels(self) -> tuple[float, ...]:
+        """Farthest position of each sliding axis from zero [m]."""
+        return tuple(axis.travel for own in self._axes for axis in own if not axis.is_revolute)
+
     def ancestors(self, joint: int) -> list[int]:
         """Return the joint and its ancestors up to, not including, the universe."""
         path = []

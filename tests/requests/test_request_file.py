@@ -198,8 +198,8 @@ def test_a_quaternion_rounded_to_three_digits_is_normalised(tmp_path: Path) -> N
         ("keep: [{link: a, free_axis: w}]", "keep[0].free_axis: expected 'none', 'x', 'y' or 'z', got 'w'"),
         ("keep: {link: a}", "keep: a list is needed"),
         (
-            "attached: [{name: b, link: a, type: mesh, file: b.stl}]",
-            "attached[0]: unknown type 'mesh'; expected box, sphere, cylinder",
+            "attached: [{name: b, link: a, type: capsule, radius: 1, height: 1}]",
+            "attached[0]: unknown type 'capsule'; expected box, sphere, cylinder, convex, mesh",
         ),
         ("attached: [{name: b, type: box, size: [1, 1, 1]}]", "attached[0].link: is missing"),
         ("attached: [{name: b, link: a, type: box, size: [1, 1, 0]}]", "attached[0].size[2]: more than 0 is needed"),

@@ -15,6 +15,10 @@ from costs.robot import AttachedBody, RobotError, RobotModel, load_robot, with_a
 POSE = np.eye(4)
 POSE[:3, :3] = Rotation.from_euler("zyx", [0.4, 0.3, 0.2]).as_matrix()
 POSE[:3, 3] = [0.1, -0.2, 0.3]
+BOX_IN_PARTS = tuple(
+    np.array([[x, y, z] for x in (-0.05, 0.05) for y in ends for z in (-0.03, 0.03)])
+    for ends in ((-0.4, 0.1), (0.1, 0.4))
+)
 BEAM = AttachedBody("beam", "l_hand", POSE, "box", (0.1, 0.8, 0.06), 4.0, ("r_hand", "r_hook"))
 
 
@@ -72,12 +76,14 @@ def test_its_mass_counts_by_hand() -> None:
         ("box", (0.1, 0.8, 0.06), np.array([0.8**2 + 0.06**2, 0.1**2 + 0.06**2, 0.1**2 + 0.8**2]) / 3.0),
         ("sphere", (0.2,), np.full(3, 1.6 * 0.04)),
         ("cylinder", (0.1, 0.6), np.array([0.13, 0.13, 0.02])),
+        ("parts", (), np.array([0.8**2 + 0.06**2, 0.1**2 + 0.06**2, 0.1**2 + 0.8**2]) / 3.0),
     ],
 )
 def test_its_inertia_is_that_of_an_even_body(kind, size, expected) -> None:
-    # a body of 4 kg; the cylinder's by hand: 4 (3 r^2 + h^2) / 12 = 0.13, 4 r^2 / 2 = 0.02
+    # a body of 4 kg; the cylinder's by hand: 4 (3 r^2 + h^2) / 12 = 0.13, 4 r^2 / 2 = 0.02; the parts are the box, cut
     plain = chain(SPATIAL)
-    robot = with_attached(plain, [AttachedBody("load", "tip", np.eye(4), kind, size, 4.0)])
+    parts = BOX_IN_PARTS if kind == "parts" else ()
+    robot = with_attached(plain, [AttachedBody("load", "tip", np.eye(4), kind, size, 4.0, parts=parts)])
     joint = robot.model.njoints - 1
     tip = robot.model.frames[robot.model.getFrameId("tip")].placement
     added = tip.actInv(robot.model.inertias[joint] - plain.model.inertias[joint])
@@ -104,7 +110,11 @@ def _reloaded(robot: RobotModel, folder: Path) -> RobotModel:
     return load_robot(urdf=folder / "robot.urdf", srdf=folder / "robot.srdf", package_dirs=[folder], root=root)
 
 
-@pytest.mark.parametrize("make", [lambda: (atlas(), BEAM), lambda: (chain(SPATIAL), CAN)], ids=["atlas", "no srdf"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: (atlas(), BEAM), lambda: (chain(SPATIAL), CAN), lambda: (chain(SPATIAL), CUT)],
+    ids=["atlas", "no srdf", "parts"],
+)
 def test_read_from_its_files_again_it_is_the_same_robot(make, tmp_path: Path) -> None:
     plain, body = make()
     robot = with_attached(plain, [body])
@@ -120,6 +130,7 @@ def test_read_from_its_files_again_it_is_the_same_robot(make, tmp_path: Path) ->
         assert mine.isApprox(theirs, 1e-9)
 
 
+CUT = AttachedBody("cut", "tip", POSE, "parts", (), 0.5, ("link1",), BOX_IN_PARTS)
 CAN = AttachedBody("can", "tip", POSE, "cylinder", (0.03, 0.1), 0.5, ("link1",))
 
 

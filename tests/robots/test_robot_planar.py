@@ -48,7 +48,8 @@ def _request(folder: Path, base: dict[str, Any] | None = None, root: str = "plan
 
 
 def test_a_base_drives_around_a_wall_and_its_record_is_verified(tmp_path: Path) -> None:
-    request = _request(tmp_path, scene={"obstacles": [WALL]})
+    # The base is drawn 1 cm into the floor on which its wheels stand.
+    request = _request(tmp_path, scene={"obstacles": [WALL], "floor": -0.14})
     result = plan(request)
     assert result.verdict.value == "CERTIFIED", result.explanation
     assert result.joint_names == ("base_x", "base_y", "base_yaw", "lift")
@@ -63,6 +64,18 @@ def test_a_base_drives_around_a_wall_and_its_record_is_verified(tmp_path: Path) 
     assert outcome.is_certified, outcome.failures
     with pytest.raises(ResultError, match=r"robot\.root is planar, and nothing drives the base"):
         PlannedReference.read(folder)
+
+
+def test_what_drives_on_a_floor_may_not_be_deep_in_it(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="start is in collision: base is 30 mm inside floor"):
+        prepare(_request(tmp_path, scene={"floor": -0.12}))
+
+
+def test_a_joint_that_nothing_asks_to_move_stays_at_its_limit(tmp_path: Path) -> None:
+    at_limit = {"joints": {"lift": -2.0, "base_x": 0.0}}
+    result = plan(_request(tmp_path, start=at_limit, goal={"joints": {"base_x": 1.0}}, scene={"floor": -0.15}))
+    assert result.verdict.value == "CERTIFIED", result.explanation
+    np.testing.assert_allclose(result.positions[:, 3], -2.0, atol=1e-9)
 
 
 def test_a_start_pose_of_the_base_lies_in_the_plane(tmp_path: Path) -> None:

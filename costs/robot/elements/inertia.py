@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 from lxml import etree
+from scipy.spatial import ConvexHull
 
 from costs.robot.errors import RobotError
 from costs.robot.poses import parse_origin
@@ -69,6 +71,27 @@ class LinkInertia:
             off = body.centre - centre
             moments += body.moments + body.mass * (float(off @ off) * np.eye(3) - np.outer(off, off))
         return LinkInertia(mass, centre, moments)
+
+
+def spread_mass(parts: Sequence[Float[np.ndarray, "V 3"]], mass: float) -> LinkInertia:
+    """Return the inertia of hulls of one even density: the sum of the tetrahedra over their triangles."""
+    tetrahedra, insides = [], []
+    for vertices in parts:
+        inside = vertices.mean(axis=0)
+        corners = vertices[ConvexHull(vertices).simplices] - inside
+        tetrahedra.append(corners)
+        insides.append(np.broadcast_to(inside, (len(corners), 3)))
+    corners, inside = np.concatenate(tetrahedra), np.concatenate(insides)
+    volumes = np.abs(np.linalg.det(corners)) / 6.0
+    share = mass * volumes / volumes.sum()
+    centres = inside + corners.sum(axis=1) / 4.0
+    centre = share @ centres / mass
+    # Second moments of a tetrahedron of four corners: (sum x)(sum x)^T + sum x x^T over 20.
+    corners = np.concatenate([corners, np.zeros((len(corners), 1, 3))], axis=1) + (inside - centre)[:, None]
+    sums = corners.sum(axis=1)
+    second = np.einsum("t,ti,tj->ij", share, sums, sums) + np.einsum("t,tki,tkj->ij", share, corners, corners)
+    second = second / 20.0
+    return LinkInertia(mass, centre, np.trace(second) * np.eye(3) - second)
 
 
 def parse_inertial(

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
 from costs.primitive import make_round_shape
-from costs.robot import LinkInertia, shapes
+from costs.robot import shapes, spread_mass
 from costs.robot.carried import MovableObject
 from costs.rotation import pose_matrix
 from service.errors import RequestError
-from service.request.scene import ConvexRequest, ObjectRequest
+from service.request.scene import ConvexRequest, MovableMesh, ObjectRequest
 from service.request.schema import PlanRequest
 
 
@@ -34,7 +33,7 @@ def make_object(item: ObjectRequest, field: str) -> MovableObject:
     Raises:
         RequestError: its points have no volume.
     """
-    if isinstance(item, ConvexRequest):
+    if isinstance(item, ConvexRequest | MovableMesh):
         points = np.array(item.points)
         try:
             vertices = points[ConvexHull(points).vertices]
@@ -48,22 +47,7 @@ def make_object(item: ObjectRequest, field: str) -> MovableObject:
     return MovableObject(
         item.name,
         vertices,
-        spread_mass(vertices, item.mass_kg),
+        spread_mass([vertices], item.mass_kg),
         pose_matrix(item.position, item.quaternion_wxyz),
         exact,
     )
-
-
-def spread_mass(vertices: Float[np.ndarray, "V 3"], mass: float) -> LinkInertia:
-    """Return the inertia of a hull of even density: the sum of the tetrahedra over its triangles."""
-    hull = ConvexHull(vertices)
-    inside = vertices.mean(axis=0)
-    corners = vertices[hull.simplices] - inside
-    volumes = np.abs(np.linalg.det(corners)) / 6.0
-    share = mass * volumes / volumes.sum()
-    centre = share @ corners.sum(axis=1) / (4.0 * mass)
-    # Second moments of a tetrahedron with a corner at the origin: (sum x)(sum x)^T + sum x x^T over 20.
-    sums = corners.sum(axis=1)
-    second = np.einsum("t,ti,tj->ij", share, sums, sums) + np.einsum("t,tki,tkj->ij", share, corners, corners)
-    second = second / 20.0 - mass * np.outer(centre, centre)
-    return LinkInertia(mass, inside + centre, np.trace(second) * np.eye(3) - second)

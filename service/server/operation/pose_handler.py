@@ -88,7 +88,7 @@ class PoseHandler:
                 "pose session",
                 open_poses,
                 local,
-                list_files(local.scene),
+                list_files(local),
                 deadline=deadline_of(context),
                 budget_s=self._reader.settings.budget_s("default"),
                 place=Place(current_caller().owner),

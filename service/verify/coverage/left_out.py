@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 
 from costs.robot.model import LinkBody, RobotModel
 from service.verify.certificate import Basis, Check, LeftOut, Where
-from service.verify.coverage.link_tree import LinkTree
+from service.verify.coverage.apart import SurfaceProofs
+from service.verify.coverage.link_tree import JOINT_SIZE_M, LinkTree
 from service.verify.motion import Motion, RelativePoseTarget
 from service.verify.prepared_motion import ForwardKinematics, Placements, PreparedMotion
 from service.verify.solids import CoalSolid, DistanceQuery
@@ -24,6 +25,7 @@ _SAMPLES = 32  # sampled first; pairs that overlap at no sample are proven apart
 _ALWAYS_SHARE, _POSES = 0.9, 300
 # A part of a link fixed to the world that was this far from a joint neighbour does not belong to the joint [m].
 _APART_M = 0.05
+_STILL_M = 1e-3  # of two links against each other: less than what a relative pose that is kept may be off
 # Results of _is_around_a_joint by the first body of the pair, kept because they take longer than many proofs.
 _AROUND: WeakKeyDictionary[LinkBody, dict[tuple[str, bytes, bytes], bool]] = WeakKeyDictionary()
 
@@ -67,8 +69,15 @@ class LeftOutPairs:
             prepared, tree, tuple(settled), overlaps, tuple(pair for pair in rest if pair not in overlaps)
         )
 
-    def list_left_out(self, touching: Mapping[tuple[str, str], tuple[float, float]]) -> tuple[LeftOut, ...]:
-        """List every pair with its reason; ``touching`` are those of ``open`` that are not shown to keep apart."""
+    def list_left_out(
+        self, touching: Mapping[tuple[str, str], tuple[float, float]], proofs: SurfaceProofs
+    ) -> tuple[LeftOut, ...]:
+        """List every pair with its reason.
+
+        Args:
+            touching: those of ``open`` whose hulls are not shown to keep apart.
+            proofs: about their surfaces, to which this adds.
+        """
         motion, tree = self.prepared.motion, self.tree
         left_out = list(self.settled)
         left_out += [
@@ -78,8 +87,11 @@ class LeftOutPairs:
         ]
         kept = _kept_joints(self.prepared)
         for pair, (depth, s) in {**self.overlaps, **touching}.items():
-            is_kept = frozenset(tree.joint[link] for link in pair) in kept
-            is_around = not is_kept and _is_around_a_joint(motion, tree, pair)
+            is_kept = frozenset(tree.joint[link] for link in pair) in kept or _is_still(self.prepared, tree, pair)
+            if not is_kept and proofs.keep_apart(pair, s):
+                left_out.append(LeftOut(pair, _reason(motion, pair), is_neighbour=False, deepest_m=0.0))
+                continue
+            is_around = not is_kept and _is_around_a_joint(proofs, tree, pair, s)
             reason = "kept" if is_kept else "around a joint" if is_around else _reason(motion, pair)
             left_out.append(LeftOut(pair, reason, is_around, depth, s, find_time(motion.law, s)))
         return tuple(sorted(left_out, key=lambda item: item.pair))
@@ -136,6 +148,16 @@ def _kept_joints(prepared: PreparedMotion) -> set[frozenset[int]]:
         for phase in prepared.phases
     ]
     return set.intersection(*held) if held else set()
+
+
+def _is_still(prepared: PreparedMotion, tree: LinkTree, pair: tuple[str, str]) -> bool:
+    """Return whether the joints between two links move them by less than ``_STILL_M``: they are as at the start."""
+    low, high = prepared.range
+    moved = high.max(axis=0) - low.min(axis=0)
+    holder, mover = (tree.joint[link] for link in pair)
+    points = [body.vertices for body in prepared.motion.robot.bodies if body.link == pair[1]]
+    chain = prepared.tree.chain(holder, mover, np.concatenate(points))
+    return float((chain.reach * chain.ratio * moved[chain.coordinates]).sum()) <= _STILL_M
 
 
 @dataclass(frozen=True)
@@ -213,12 +235,28 @@ def _find_sampled_overlaps(
     }
 
 
-def _is_around_a_joint(motion: Motion, tree: LinkTree, pair: tuple[str, str]) -> bool:
-    """Return whether a link between the two is a neighbour of both, and they overlap in nearly all poses."""
+def _is_around_a_joint(proofs: SurfaceProofs, tree: LinkTree, pair: tuple[str, str], s: float) -> bool:
+    """Return whether a link between the two is a neighbour of both, and they overlap in nearly all poses.
+
+    With meshes, what is far from the joints between has to keep apart; the link between may then be a part of one.
+    """
+    motion = proofs.prepared.motion
     between = [c for c in tree.shaped - set(pair) if all(tree.are_neighbours(c, link) for link in pair)]
-    if not between:
+    path = tree.path(*pair)
+    if not (between or len(path) == 2) or not _overlap_always(motion.robot, tree, pair):
         return False
-    robot = motion.robot
+    if not proofs.have_meshes(pair):
+        return bool(between)
+    model, centres = motion.robot.model, []
+    for link in pair:
+        own = tree.joint[link]
+        below = [joint for joint in path if int(model.parents[joint]) == own]
+        centres.append(np.zeros(3) if own in path else np.array(model.jointPlacements[below[0]].translation))
+    return proofs.keep_apart_beyond(pair, s, centres, JOINT_SIZE_M)
+
+
+def _overlap_always(robot: RobotModel, tree: LinkTree, pair: tuple[str, str]) -> bool:
+    """Return whether the hulls of two links overlap in nearly all poses of the joints between them."""
     first = next(body for body in robot.bodies if body.link == pair[0])
     known = _AROUND.setdefault(first, {})
     key = (pair[1], robot.lower.tobytes(), robot.upper.tobytes())

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from costs.robot.model import RobotModel
 
 # A body fixed to a link belongs to a joint of the link when all of it is this near to the joint [m].
-_JOINT_SIZE_M = 0.25
+JOINT_SIZE_M = 0.25
 
 
 class LinkTree:
@@ -119,7 +119,7 @@ class LinkTree:
 
     def _is_near(self, link: str, point: Float[np.ndarray, "3"]) -> bool:
         bodies = [body for body in self._robot.bodies if body.link == link]
-        return all(float(np.linalg.norm(b.vertices - point, axis=1).max()) <= _JOINT_SIZE_M for b in bodies)
+        return all(float(np.linalg.norm(b.vertices - point, axis=1).max()) <= JOINT_SIZE_M for b in bodies)
 
     def _above(self, joint: int) -> set[int]:
         ancestors = set()

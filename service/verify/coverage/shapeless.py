@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,6 +22,8 @@ _TOKEN_SHARE = 0.2  # of the longest side of the drawn shapes; genuine collision
 _LEAST_MASS_KG = 0.01
 # So is one up to this mass whose inertia gives a box lighter than air; 10 g with 1e-4 kg m2 is common [kg, kg/m3].
 _PLACEHOLDER_KG, _AIR_KG_M3 = 0.05, 1.2
+_DISTANCES: WeakKeyDictionary[CoalSolid, dict[bytes, Float[np.ndarray, "P"]]] = WeakKeyDictionary()
+_KEPT = 200  # sets of points for each solid
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
@@ -117,9 +120,20 @@ def _reach(prepared: PreparedMotion, tree: LinkTree, link: str, element: Element
     distance = np.full(len(in_link), np.inf)
     for solid in (CoalSolid.of_body(body) for body in prepared.motion.robot.bodies if body.link in near):
         rotation, translation = placed.relative(solid.joint, tree.joint[link], rows)
-        distance = np.minimum(distance, solid.distances(in_joint @ rotation[0].T + translation[0]))
+        distance = np.minimum(distance, _measure(solid, in_joint @ rotation[0].T + translation[0]))
     size = float((in_link.max(axis=0) - in_link.min(axis=0)).max())
     return min(size, float(distance.max()))
+
+
+def _measure(solid: CoalSolid, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P"]:
+    """Return distances of points from a solid, known from other motions that begin in the same pose [m]."""
+    known = _DISTANCES.setdefault(solid, {})
+    key = points.tobytes()
+    if key not in known:
+        if len(known) >= _KEPT:
+            known.clear()
+        known[key] = solid.distances(points)
+    return known[key]
 
 
 def _lines(prepared: PreparedMotion, tree: LinkTree, link: str) -> Iterator[Float[np.ndarray, "P 3"]]:

@@ -1416,7 +1416,7 @@ class SceneSpec(_message.Message):
     def __init__(self, cloud: _Optional[_Union[Cloud, _Mapping]] = ..., unit: _Optional[_Union[LengthUnit, str]] = ..., apply_viewpoint: bool = ..., sensor: _Optional[_Iterable[float]] = ..., topic: _Optional[str] = ..., message: _Optional[_Union[MessageNumber, _Mapping]] = ..., hint: _Optional[_Iterable[float]] = ..., obstacles: _Optional[_Iterable[_Union[Obstacle, _Mapping]]] = ..., floor: _Optional[_Union[Floor, _Mapping]] = ..., method: _Optional[_Union[PieceMethod, str]] = ..., unknown: _Optional[_Union[UnknownSpace, str]] = ..., file: _Optional[str] = ..., cuts: _Optional[_Iterable[_Union[Cut, _Mapping]]] = ..., level: bool = ..., sensor_model: _Optional[_Union[SensorModel, str]] = ..., sensor_sigma: _Optional[float] = ..., objects: _Optional[_Iterable[_Union[MovableObject, _Mapping]]] = ...) -> None: ...
 
 class MovableObject(_message.Message):
-    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "mass_kg", "grasps")
+    __slots__ = ("type", "name", "position", "quaternion_wxyz", "size", "radius", "height", "points", "mass_kg", "grasps", "file", "scale", "scale_xyz")
     TYPE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     POSITION_FIELD_NUMBER: _ClassVar[int]
@@ -1427,6 +1427,9 @@ class MovableObject(_message.Message):
     POINTS_FIELD_NUMBER: _ClassVar[int]
     MASS_KG_FIELD_NUMBER: _ClassVar[int]
     GRASPS_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    SCALE_XYZ_FIELD_NUMBER: _ClassVar[int]
     type: Shape
     name: str
     position: _containers.RepeatedScalarFieldContainer[float]
@@ -1437,7 +1440,10 @@ class MovableObject(_message.Message):
     points: _containers.RepeatedCompositeFieldContainer[Point]
     mass_kg: float
     grasps: _containers.RepeatedCompositeFieldContainer[Grasp]
-    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., mass_kg: _Optional[float] = ..., grasps: _Optional[_Iterable[_Union[Grasp, _Mapping]]] = ...) -> None: ...
+    file: str
+    scale: float
+    scale_xyz: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., mass_kg: _Optional[float] = ..., grasps: _Optional[_Iterable[_Union[Grasp, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., scale_xyz: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Grasp(_message.Message):
     __slots__ = ("position", "quaternion_wxyz")
@@ -1546,7 +1552,7 @@ class Point(_message.Message):
     def __init__(self, value: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Attached(_message.Message):
-    __slots__ = ("type", "name", "link", "touches", "mass_kg", "position", "quaternion_wxyz", "size", "radius", "height")
+    __slots__ = ("type", "name", "link", "touches", "mass_kg", "position", "quaternion_wxyz", "size", "radius", "height", "points", "file", "scale", "scale_xyz", "decompose", "parts")
     TYPE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     LINK_FIELD_NUMBER: _ClassVar[int]
@@ -1557,6 +1563,12 @@ class Attached(_message.Message):
     SIZE_FIELD_NUMBER: _ClassVar[int]
     RADIUS_FIELD_NUMBER: _ClassVar[int]
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
+    POINTS_FIELD_NUMBER: _ClassVar[int]
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    SCALE_FIELD_NUMBER: _ClassVar[int]
+    SCALE_XYZ_FIELD_NUMBER: _ClassVar[int]
+    DECOMPOSE_FIELD_NUMBER: _ClassVar[int]
+    PARTS_FIELD_NUMBER: _ClassVar[int]
     type: Shape
     name: str
     link: str
@@ -1567,7 +1579,13 @@ class Attached(_message.Message):
     size: _containers.RepeatedScalarFieldContainer[float]
     radius: float
     height: float
-    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., link: _Optional[str] = ..., touches: _Optional[_Iterable[str]] = ..., mass_kg: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ...) -> None: ...
+    points: _containers.RepeatedCompositeFieldContainer[Point]
+    file: str
+    scale: float
+    scale_xyz: _containers.RepeatedScalarFieldContainer[float]
+    decompose: bool
+    parts: _containers.RepeatedCompositeFieldContainer[MeshHull]
+    def __init__(self, type: _Optional[_Union[Shape, str]] = ..., name: _Optional[str] = ..., link: _Optional[str] = ..., touches: _Optional[_Iterable[str]] = ..., mass_kg: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., quaternion_wxyz: _Optional[_Iterable[float]] = ..., size: _Optional[_Iterable[float]] = ..., radius: _Optional[float] = ..., height: _Optional[float] = ..., points: _Optional[_Iterable[_Union[Point, _Mapping]]] = ..., file: _Optional[str] = ..., scale: _Optional[float] = ..., scale_xyz: _Optional[_Iterable[float]] = ..., decompose: bool = ..., parts: _Optional[_Iterable[_Union[MeshHull, _Mapping]]] = ...) -> None: ...
 
 class Keep(_message.Message):
     __slots__ = ("link", "relative_to", "position", "quaternion_wxyz", "position_tolerance_m", "rotation_tolerance_deg", "free_axis", "region", "look_at", "look_axis", "after", "until")
