@@ -235,8 +235,15 @@ def _jacobian(
         arm = np.einsum("kij,kj->ki", to_world, places[:, 0])
         jacobian[rows, cells, :3], jacobian[rows, cells, 3:6] = -np.cross(arm, towards), -towards
         for i, bigger in enumerate(larger):
+            if _is_same(solid, bigger[k]):
+                continue
             jacobian[rows, cells, 6 + i] = (bigger[k].take(rows).distance(places)[:, 0] - base) / _STEP
     return jacobian
+
+
+def _is_same(one: Primitive, other: Primitive) -> bool:
+    """Return whether two primitives have the same places and sizes."""
+    return all(np.array_equal(value, vars(other)[name]) for name, value in vars(one).items())
 
 
 def _add_priors(

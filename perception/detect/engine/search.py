@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -126,14 +127,44 @@ class Fit:
         }
 
 
+@dataclass(frozen=True)
+class _Settled:
+    """A fit on all rays about it.
+
+    Attributes:
+        lead: how much better it explains the rays than the one that points the other way.
+    """
+
+    refined: Refined
+    lead: float
+    evidence: Evidence
+    region: Region
+    site: Site
+
+    @property
+    def hypotheses(self) -> Hypotheses:
+        """The one fit."""
+        return self.refined.hypotheses
+
+    @property
+    def gain(self) -> float:
+        """Log-likelihood ratio against clutter."""
+        return float(self.evidence.gain[0])
+
+
+_Any = TypeVar("_Any", _Settled, Fit)
+
+
 def search(
     template: Template, sites: Sequence[Site], index: SightIndex, most: int = 6, effort: Effort = WHOLE
 ) -> list[Fit]:
     """Return the fits that the rays support best, at most ``most``, best first."""
-    fine: list[Fit] = []
+    settled: list[_Settled] = []
     for i, one in begin(template, sites, index, effort):
-        fine += finish(template, one, sites[i], index, both_ways=effort.both_ways)
-    return drop_same(sorted(fine, key=lambda fit: -fit.gain))[:most]
+        settled += _settle(template, one, sites[i], index, both_ways=effort.both_ways)
+    # Evidence takes longer than the fit: only fits that are returned get it.
+    apart = drop_same(sorted(settled, key=lambda one: -one.gain))[:most]
+    return [_weigh_fit(template, one) for one in apart]
 
 
 def begin(template: Template, sites: Sequence[Site], index: SightIndex, effort: Effort) -> list[tuple[int, Hypotheses]]:
@@ -150,9 +181,9 @@ def begin(template: Template, sites: Sequence[Site], index: SightIndex, effort: 
     return [(i, one) for _, i, one in scored[: effort.n_fine]]
 
 
-def drop_same(fits: Sequence[Fit]) -> list[Fit]:
+def drop_same(fits: Sequence[_Any]) -> list[_Any]:
     """Return the fits without those that an earlier one repeats."""
-    apart: list[Fit] = []
+    apart: list[_Any] = []
     for fit in fits:
         if not any(_is_same(fit.hypotheses, other.hypotheses) for other in apart):
             apart.append(fit)
@@ -200,8 +231,8 @@ def _keep_apart(scored: list[tuple[float, int, Hypotheses]]) -> list[tuple[float
     return [scored[k] for k in kept]
 
 
-def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex, *, both_ways: bool = False) -> list[Fit]:
-    """Return the fit of a hypothesis on the rays about it, with covariance and evidence; none without rays.
+def _settle(template: Template, one: Hypotheses, site: Site, index: SightIndex, *, both_ways: bool) -> list[_Settled]:
+    """Return the fit of a hypothesis on the rays about it; none without rays.
 
     Args:
         both_ways: return the best fit that points the other way, too, the better one first.
@@ -219,29 +250,25 @@ def finish(template: Template, one: Hypotheses, site: Site, index: SightIndex, *
     second = refine(template, turned, region, _FINE_GATES) if both_ways or lead < 0.0 else None
     ways = [(first, lead), (second, -lead)] if lead >= 0.0 else [(second, -lead), (first, lead)]
     return [
-        _weigh_fit(template, refined, lead, region, site)
+        _Settled(refined, lead, weigh(template, refined.hypotheses, region), region, site)
         for refined, lead in (ways if both_ways else ways[:1])
         if refined is not None
     ]
 
 
-def _weigh_fit(template: Template, refined: Refined, lead: float, region: Region, site: Site) -> Fit:
-    """Return a refined fit with its evidence.
-
-    Args:
-        lead: how much better it explains the rays than the one that points the other way.
-    """
-    fit = refined.hypotheses
-    evidence = weigh(template, fit, region)
+def _weigh_fit(template: Template, settled: _Settled) -> Fit:
+    """Return a settled fit with its covariance and all its evidence."""
+    fit, evidence, region = settled.hypotheses, settled.evidence, settled.region
     hits = evidence.hit[0] & ~region.is_other
-    covariance = np.linalg.inv(refined.information[0] + 1e-6 * np.eye(refined.information.shape[1]))
+    information = settled.refined.information[0]
+    covariance = np.linalg.inv(information + 1e-6 * np.eye(len(information)))
     flat = flat_shares(region.ends[hits], float(np.hypot(region.sigma, template.model_sigma)))
-    margin = float(np.sign(lead) * np.log1p(abs(lead)))
+    margin = float(np.sign(settled.lead) * np.log1p(abs(settled.lead)))
     features = np.append(
         average_features(template, fit, covariance, region, evidence),
         (*flat, margin, lead_over_rivals(template, fit, region)),
     )
-    return Fit(template, fit, features, float(evidence.gain[0]), covariance, region.ends[hits], region, site)
+    return Fit(template, fit, features, settled.gain, covariance, region.ends[hits], region, settled.site)
 
 
 def turn_back(template: Template, fit: Hypotheses, region: Region) -> tuple[Hypotheses, float]:
