@@ -111,7 +111,7 @@ class StepSolver:
         stage = _Stage.of(self.solver, self.robot, free, at)
         assert free.goal is not None
         goal = stage.make_goal()
-        ends = GoalEnds(stage.solver, goal, touches=stage.touches)
+        ends = GoalEnds(stage.solver, goal, touches=stage.reserved)
         found = chain(ends.find(End.FIRST, 0), ends.find(End.OTHERS, 0))
         for q in islice(found, MOST_BEGINS):
             made = self.make(path, q)
@@ -128,7 +128,7 @@ class StepSolver:
         stage = _Stage.of(self.solver, self.robot, made, at)
         goal = stage.make_goal()
         if end is None:
-            ends = GoalEnds(stage.solver, goal, touches=stage.touches)
+            ends = GoalEnds(stage.solver, goal, touches=stage.reserved)
             if ends.miss is not None:
                 q = np.stack([at, ends.miss.x[0]])
                 return [stage.plan(q, is_feasible=False)], Tried(made.name, (), ends.miss)
@@ -148,7 +148,7 @@ class StepSolver:
 
             own = () if is_fixed and end is not None else constraints(last)
             return solver.solve_trajectory(
-                made.name, path, fixed, constraints=own, allowances=stage.touches, bounds=bounds
+                made.name, path, fixed, constraints=own, allowances=stage.reserved, bounds=bounds
             )
 
         policy = choose_policy(stage.solver.body.robot)
@@ -254,6 +254,11 @@ class _Stage:
     def touches(self) -> tuple[Allowance, ...]:
         """Pairs that may touch."""
         return self.made.list_touches(self.robot, self.at[: self.robot.n], None)
+
+    @property
+    def reserved(self) -> tuple[Allowance, ...]:
+        """Pairs that may touch, with depths that leave room for what lies between waypoints."""
+        return tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in self.touches)
 
     @property
     def carried(self) -> tuple[str, ...]:
@@ -407,13 +412,12 @@ def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) 
         for name, term, unit in measure_led(stage.body, led, waypoints, led.guide.poses(shares)):
             tolerance = PLACE_TOLERANCE if unit == "m" else TURN_TOLERANCE
             constraints.append(Constraint(name, term, Sense.EQUAL_ZERO, tolerance, unit=unit))
-    touches = tuple(replace(touch, depth=max(touch.depth - DEPTH_RESERVE, 0.0)) for touch in stage.touches)
     return solver.solve_trajectory(
         made.name,
         path,
         {0: path[0]},
         constraints=constraints,
-        allowances=touches,
+        allowances=stage.reserved,
         bounds=stage.lock,
         regions=stage.find_regions(count),
     )
@@ -422,4 +426,4 @@ def _solve_led(stage: _Stage, made: StepPhase, solver: PhaseSolver, path: Path) 
 def _solve_between(stage: _Stage, made: StepPhase, q: Path) -> Solved:
     """Solve a free motion between the ends of a path."""
     fixed = {0: q[0], len(q) - 1: q[-1]}
-    return stage.solver.solve_trajectory(made.name, q, fixed, allowances=stage.touches, bounds=stage.lock)
+    return stage.solver.solve_trajectory(made.name, q, fixed, allowances=stage.reserved, bounds=stage.lock)
