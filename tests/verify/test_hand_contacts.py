@@ -190,9 +190,9 @@ def test_two_contacts_that_lean_to_one_side_push_along_the_way_by_friction_alone
 
 
 @given(count=st.integers(1, 130), last=st.integers(-1, 129), near=st.one_of(st.none(), st.integers(-1, 129)))
-def test_a_search_from_a_guess_finds_what_a_search_of_all_numbers_does(count: int, last: int, near: int | None) -> None:
+def test_a_search_from_a_guess_finds_what_a_search_of_all_angles_does(count: int, last: int, near: int | None) -> None:
     last, near = min(last, count - 1), None if near is None else min(near, count - 1)
-    assert _find_last(lambda at: at <= last, count, near) == last
+    assert _find_last(lambda at: at <= last, range(count), near) == last
 
 
 @settings(max_examples=15)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import coal
 import numpy as np
@@ -173,28 +174,30 @@ def _search_widenings(
     cone = float(np.arctan(push.friction[0])) * (HELD_SHARE if push.held else 1.0)
     widest = 0.5 * np.pi - cone - 1e-3
     # From the widest cones to the given ones, then on to none.
-    halves = np.concatenate([cone + widest * (1.0 - _SHARES), cone * (1.0 - _SHARES)])
-    offs = 0.25 * np.pi * _SHARES  # of the normal of a single contact that needs no friction
-    excesses, near = np.full(len(touching), NOTHING_HOLDS), None
+    halves = np.concatenate([cone + widest * (1.0 - _SHARES), cone * (1.0 - _SHARES)]).tolist()
+    offs = (0.25 * np.pi * _SHARES).tolist()  # of the normal of a single contact that needs no friction
+    excesses = np.full(len(touching), NOTHING_HOLDS)
+    near: int | None = None
     for k in range(len(touching)):
         if len(caps) == 1 and balance.holds_about(k, 0.0):
-            excesses[k] = -cone - offs[_find_last(lambda at, k=k: balance.holds_about(k, offs[at]), len(offs))]
+            excesses[k] = -cone - offs[_find_last(partial(balance.holds_about, k), offs)]
             continue
-        near = _find_last(lambda at, k=k: balance.exists(k, halves[at]), len(halves), near)
+        near = _find_last(partial(balance.exists, k), halves, near)
         if near >= 0:
             excesses[k] = halves[near] - cone
     return excesses
 
 
-def _find_last(holds: Callable[[int], bool], count: int, near: int | None = None) -> int:
-    """Return the largest of the numbers below ``count`` at which something holds that holds up to one of them; or -1.
+def _find_last(holds: Callable[[float], bool], angles: Sequence[float], near: int | None = None) -> int:
+    """Return the number of the last angle that holds, where all do up to one of them; -1 where none does.
 
     With a guess ``near`` it is looked for from there on, in steps that grow.
     """
+    count = len(angles)
     low, high, step = -1, count, 1
     at = count // 2 if near is None else max(near, 0)
     while high - low > 1:
-        is_held = holds(at)
+        is_held = holds(angles[at])
         low, high = (at, high) if is_held else (low, at)
         is_between = near is None or (low >= 0 and high < count)
         at = (low + high) // 2 if is_between else low + step if is_held else high - step
