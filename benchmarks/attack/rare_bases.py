@@ -164,7 +164,7 @@ def make_two_pushes(folder: Path) -> dict[str, Any]:
 def make_lever_of_door(folder: Path) -> dict[str, Any]:
     """Return a request to press a door's lever with the sides of closed fingers, and to open its leaf with the palm."""
     handle = {
-        "link": "lever", "place": [-0.095, 0.1, 0.02], "axis": [1, 0, 0], "tool": "stub", "tilt_deg": 10.0,
+        "link": "lever", "place": [-0.0935, 0.1, 0.02], "axis": [1, 0, 0], "tool": "stub", "tilt_deg": 5.0,
         "approach": [-0.12, 0, 0.03],
     }  # fmt: skip
     mechanism = {

@@ -27,7 +27,7 @@ from service.result.result import Verdict
 from service.start.mechanism_file import inline_mechanisms
 
 FRICTION = (0.3, 0.6)
-ERRAND = Path(__file__).resolve().parents[2] / "examples" / "requests" / "errand.yaml"
+ERRAND = Path(__file__).resolve().parents[2] / "benchmarks" / "tasks" / "requests" / "errand.yaml"
 
 
 def mirror(request: dict[str, Any]) -> dict[str, Any]:
