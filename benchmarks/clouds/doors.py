@@ -6,7 +6,7 @@ wall on their pull side.  The hinge axis is judged with the true opening directi
 hinge side that the scan does not show is ``?``.  The last row is a recorded scan, of the folder ``SCOPT_DATA``
 (default: ``../shared/data``).
 
-From the checkout's root: ``python -m benchmarks.clouds.doors [--sensor sparse] [--only TEXT] [--seed N]``.
+From the checkout's root: ``python -m benchmarks.clouds.doors [--sensor sparse] [--only TEXT] [--seed N] [--back M]``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmarks.clouds.cases import data_folder
 from benchmarks.tables import print_table
 from perception import CONFIDENT, Detection, choose_opening, detect, make_view, read_cloud, read_door
 from perception.detect.door.geometry import UP, DoorGeometry, HandleGeometry
-from perception.simulate import Pose, Scanner, SolidState, box, scan
+from perception.simulate import DepthCamera, Pose, Scanner, SolidState, box, scan
 from perception.simulate.scenes.doors import Door, Furniture, truth_geometry
 from perception.simulate.sensor import Sensor
 
@@ -31,6 +31,8 @@ SENSORS: Mapping[str, Sensor] = {
     "dense": Scanner(),
     "sparse": Scanner(n_lines=44, sigma=0.015),
     "solid": SolidState(),
+    # Pixels that err together over 5 cm, by 1 to 2 cm at 2 m.
+    "stereo": DepthCamera(640, 480, 69.0, baseline=0.05, matching=0.09, correlation=3.0),
 }
 _AROUND = [box((-6.0, -6.0, -0.1), (6.0, 6.0, 0.0)), box((3.8, -4.0, 0.0), (3.9, 4.0, 2.6))]
 _RECORDED = "recorded door_a"
@@ -136,9 +138,13 @@ def recorded_door() -> tuple[Detection | None, DoorGeometry] | None:
     return (hits[0] if hits else None), geometry
 
 
-def detect_best(door: Door, sensor: Sensor, seed: int) -> Detection | None:
-    """Return the best detection of a scan of the door, None without one."""
-    cloud = scan([*door.build().meshes, *_AROUND], Pose((0.1, 0.0, 1.62), pitch=0.3), sensor, seed)
+def detect_best(door: Door, sensor: Sensor, seed: int, back: float = 0.0) -> Detection | None:
+    """Return the best detection of a scan of the door, None without one.
+
+    Args:
+        back: distance by which the sensor stands behind the robot's head [m].
+    """
+    cloud = scan([*door.build().meshes, *_AROUND], Pose((0.1 - back, 0.0, 1.62), pitch=0.3), sensor, seed)
     return next(iter(detect("door", make_view(cloud))), None)
 
 
@@ -181,9 +187,10 @@ def main() -> None:
     parser.add_argument("--sensor", choices=tuple(SENSORS), default="dense")
     parser.add_argument("--only", default="", help="part of the names of the doors")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--back", type=float, default=0.0, help="distance of the sensor behind the robot's head [m]")
     chosen = parser.parse_args()
     cases = [
-        (name, detect_best(door, SENSORS[chosen.sensor], chosen.seed), truth_geometry(door))
+        (name, detect_best(door, SENSORS[chosen.sensor], chosen.seed, chosen.back), truth_geometry(door))
         for name, door in doors(chosen.seed)
         if chosen.only in name
     ]

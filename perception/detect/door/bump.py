@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -74,12 +74,14 @@ class Bump:
         evidence: log odds against the bare face, minus those that noise alone reaches.
         out: standoff of the object [m].
         low, high: (2,) corners of the box along the face and up [m].
+        noise: log odds that noise alone reaches on this face.
     """
 
     evidence: float
     out: float
     low: Float[np.ndarray, "2"]
     high: Float[np.ndarray, "2"]
+    noise: float = 0.0
 
 
 def rays_towards(rays: Rays, face: DoorFace, out: float) -> Towards:
@@ -115,7 +117,10 @@ def find_bumps(face: DoorFace, rays: Rays, prefer: int) -> list[Bump]:
                 best[zone] = bump
             if dent is not None:
                 noise[_place(zone)] = max(noise[_place(zone)], dent.evidence)
-    left = [Bump(bump.evidence - noise[_place(zone)], bump.out, bump.low, bump.high) for zone, bump in best.items()]
+    left = [
+        replace(bump, evidence=bump.evidence - noise[_place(zone)], noise=noise[_place(zone)])
+        for zone, bump in best.items()
+    ]
     return [bump for bump in left if bump.evidence > _LEAST]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from perception.detect.door.profile import BAND, BIN, Profile, Rays
+from perception.detect.door.profile import BAND, BIN, STOREY, Profile, Rays
 from perception.detect.door.upright import Upright
 
 _BESIDE = 0.1
@@ -16,6 +16,7 @@ _SHARP = 0.06
 _SURE_STOREYS = 6
 _SURE = 2.0  # standard errors
 _FEWEST = 5  # columns
+_SURE_ROW = 4.0  # standard errors that no row of a face is off its plane
 _ROW = 0.02
 _WAIST = (0.7, 1.4)
 _BEFORE = 0.25
@@ -147,8 +148,23 @@ def _end_at(at: float, side: int, local: Float[np.ndarray, "N 3"]) -> float:
     return at + side * float(np.percentile(place, 98.0))
 
 
-def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float) -> tuple[float, bool, float, bool]:
-    """Return (bottom, is seen, top, is seen) of the unbroken face: heights above ground [m], whether it ends there."""
+def row_error(profile: Profile, first: int, last: int) -> float:
+    """Return the standard error of the mean of a face's row, from that of its columns [m]."""
+    mine = np.arange(first, last)[profile.is_solid[first:last]]
+    if not len(mine):
+        return 0.0
+    height = float(np.median(profile.storeys[mine])) * STOREY
+    return float(np.median(profile.sigma[mine]) * np.sqrt(height / (len(mine) * BIN)))
+
+
+def face_rows(
+    plane: Upright, low: float, high: float, rays: Rays, ground: float, error: float = 0.0
+) -> tuple[float, bool, float, bool]:
+    """Return (bottom, is seen, top, is seen) of the unbroken face: heights above ground [m], whether it ends there.
+
+    Args:
+        error: standard error of a row's mean that its points share (:func:`row_error`) [m].
+    """
     at, end, heading = rays.crossing(plane)
     # Rays that stopped far before the face are no evidence about it.
     mine = heading & (at[:, 0] > low + 0.03) & (at[:, 0] < high - 0.03) & (end < _BEFORE)
@@ -163,7 +179,7 @@ def face_rows(plane: Upright, low: float, high: float, rays: Rays, ground: float
     share = count / np.maximum(total, 1)
     # A lintel that stands out slightly shows in the mean depth of its row.
     mean = np.bincount(row[on], off[on], n_rows) / np.maximum(count, 1)
-    aside = np.abs(mean) > np.maximum(0.008, 0.03 / np.sqrt(np.maximum(count, 1)))
+    aside = np.abs(mean) > np.maximum(max(0.008, _SURE_ROW * error), 0.03 / np.sqrt(np.maximum(count, 1)))
     full = np.flatnonzero((total >= 2) & (share > 0.6) & ~aside)
     if not len(full):
         return 0.0, False, 0.0, False

@@ -42,6 +42,7 @@ class Handle:
         is_pull: a bar much higher than wide.
         is_panic: a bar across most of the face.
         evidence: log odds of its rays against the bare face, minus those that noise alone reaches.
+        noise: log odds that noise alone reaches on this face.
         purity: share of the rays through its rectangle that met it.
         alone: share of the rays just beside it that met the face behind; of a pull, also above and below it.
         pivot_side: end of a lever, -1 or 1, near which a neck or rose was seen; else 0.
@@ -57,6 +58,7 @@ class Handle:
     is_pull: bool
     is_panic: bool
     evidence: float
+    noise: float
     purity: float
     alone: float
     pivot_side: int
@@ -74,6 +76,11 @@ class Handle:
         return self.out + _FRONT * (_BAR if self.bar is None else self.bar.radius)
 
     @property
+    def gap(self) -> float:
+        """Width of the air behind its bar [m]; a face that bulges has none."""
+        return self.out if self.bar is None else self.out - self.bar.radius
+
+    @property
     def is_round(self) -> bool:
         """Whether it is as thick as a knob."""
         return self.bar is not None and self.bar.radius + 0.25 * self.bar.axis_length > _THINNEST_KNOB
@@ -82,7 +89,8 @@ class Handle:
     def quality(self) -> float:
         """Certainty that it is a handle, 0 to 1."""
         return float(
-            np.clip(self.evidence / 30.0, 0.0, 1.0)
+            np.clip(self.evidence / max(30.0, self.noise), 0.0, 1.0)
+            * np.clip((self.gap + 0.01) / 0.008, 0.0, 1.0)
             * np.clip((self.purity - 0.4) / 0.25, 0.0, 1.0)
             * np.clip((self.alone - 0.5) / 0.25, 0.0, 1.0)
             * np.clip((self.front - 0.031) / 0.008, 0.0, 1.0)
@@ -172,6 +180,7 @@ def _measure(face: DoorFace, rays: Rays, bump: Bump) -> Handle:
         is_pull,
         False,
         max(bump.evidence, -_TRUSTED * bar.cost * len(near.length)),
+        bump.noise,
         float(np.mean(met[inside])) if inside.any() else 0.0,
         _free_share(face, seen, bar, near, is_pull),
         _neck_side(face, seen, bar) if is_lever else 0,
@@ -190,7 +199,7 @@ def _measure_panic(face: DoorFace, rays: Rays, bump: Bump, seen: _Seen) -> Handl
     on_face = np.abs(seen.depth) < max(2.5 * face.sigma, 0.02)
     beside = seen.within(_RING) & ~seen.within(_ABOUT)
     alone = float(np.mean(on_face[beside])) if beside.any() else 0.0
-    return Handle(low, high, None, middle, False, False, True, bump.evidence, purity, alone, 0, (0.0, 0.0))
+    return Handle(low, high, None, middle, False, False, True, bump.evidence, bump.noise, purity, alone, 0, (0.0, 0.0))
 
 
 def _first_bar(seen: _Seen) -> Bar:

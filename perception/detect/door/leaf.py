@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from perception.detect.door.edges import Edge, face_rows, side_edge, unevenness
+from perception.detect.door.edges import Edge, face_rows, row_error, side_edge, unevenness
 from perception.detect.door.profile import BAND, BIN, Profile, Rays, Stretch, straight_stretches, take_profile
 from perception.detect.door.upright import Upright, fit_upright
 
@@ -16,6 +16,7 @@ _LEAST_SEEN = 0.45
 _FLAT = 0.007
 _STEEPEST = 0.35
 _RELIEF = 0.006
+_NOISY = 1.0  # standard errors of its columns by which a stretch of a leaf may be off its plane
 _STRIP = 0.08
 _STRIP_RELIEF = 0.015
 _OPEN_BEYOND = 2  # columns between a strip of the leaf and its frame; a strip of the frame is fixed to it
@@ -118,7 +119,8 @@ def _grow(
         while 0 <= at < len(stretches):
             mine = stretches[at]
             size = mine.last - mine.first
-            fits = not np.isnan(mine.slope) and np.sqrt(np.nanmean(off[mine.first : mine.last] ** 2)) < tolerance
+            most = np.hypot(tolerance, _NOISY * np.nanmedian(profile.sigma[mine.first : mine.last]))
+            fits = not np.isnan(mine.slope) and np.sqrt(np.nanmean(off[mine.first : mine.last] ** 2)) < most
             if fits:
                 first, last = min(first, mine.first), max(last, mine.last)
                 skipped = 0
@@ -199,7 +201,8 @@ def _settle_leaf(
     on = inside & (np.abs(local[:, 2]) < 0.035)
     if on.sum() < 40:
         return None
-    bottom, bottom_is_seen, top, top_is_seen = face_rows(plane, low.at, high.at, rays, ground)
+    error = row_error(profile, first, last)
+    bottom, bottom_is_seen, top, top_is_seen = face_rows(plane, low.at, high.at, rays, ground, error)
     members = points[on & (local[:, 1] < ground + top - 0.03)]
     if len(members) < 40:
         return None

@@ -13,10 +13,13 @@ from perception.detect.door.upright import Upright
 BIN = 0.02
 BAND = (0.25, 1.8)  # heights over the floor that walls and leaves fill [m]
 _DEPTH_BIN = 0.01
-_STOREY = 0.1
+STOREY = 0.1
 _WINDOW = 0.35
-_LAYER = 0.03
+_LAYER = (0.03, 0.06)  # least and most distance of a column's points from their mean [m]
+_LAYERS_PER_SCATTER = 2.2
+_ROUNDS = 6
 _LEAST_STOREYS = 3
+_FEWEST_IN_BAND = 3  # points from which a height band's mean counts
 _BEHIND = 0.03
 _MARGIN = 7
 _FAR = 0.1
@@ -61,7 +64,7 @@ class Profile:
     Attributes:
         low: position of the first column's border along the plane [m].
         depth: (B,) mean distance of the column's surface out of the plane, NaN without a surface [m].
-        sigma: (B,) its standard error [m].
+        sigma: (B,) its standard error, with what neighbours share [m].
         storeys: (B,) number of 10 cm height bands with points of that surface.
         open_storeys: (B,) number of height bands in which rays went on behind it.
     """
@@ -113,18 +116,23 @@ def take_profile(
     start = float(np.floor(local[:, 0].min() / BIN) * BIN) - _MARGIN * BIN
     column = np.floor((local[:, 0] - start) / BIN).astype(int)
     n_columns = int(column.max()) + 1 + _MARGIN
-    storey = np.floor((local[:, 1] - low) / _STOREY).astype(int)
-    n_storeys = int(np.ceil((high - low) / _STOREY))
+    storey = np.floor((local[:, 1] - low) / STOREY).astype(int)
+    n_storeys = int(np.ceil((high - low) / STOREY))
     centre = _mode(column, storey, local[:, 2], (n_columns, n_storeys), window)
     near = np.ones(len(local), dtype=bool)
-    for _ in range(3):
-        near = np.abs(local[:, 2] - centre[column]) < _LAYER
+    layer = _LAYER[0]
+    for _ in range(_ROUNDS):
+        near = np.abs(local[:, 2] - centre[column]) < layer
         count = np.bincount(column[near], minlength=n_columns)
         total = np.bincount(column[near], local[near, 2], n_columns)
         centre = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-    square = np.bincount(column[near], (local[near, 2] - centre[column[near]]) ** 2, n_columns)
+        square = np.bincount(column[near], (local[near, 2] - centre[column[near]]) ** 2, n_columns)
+        # The layer holds most of the noise of a usual column, which a narrow layer cuts off.
+        scatter = float(np.sqrt(np.median(square[count > 1] / count[count > 1]))) if (count > 1).any() else 0.0
+        layer = float(np.clip(_LAYERS_PER_SCATTER * scatter, *_LAYER))
     # The scatter of few points is unknown: one centimetre is the prior.
     sigma = np.sqrt((square + 1e-4) / (count + 1) / np.maximum(count, 1))
+    sigma = np.hypot(sigma, _shared_error(column[near], storey[near], local[near, 2], (n_columns, n_storeys)))
     storeys = _drop_duplicates(column[near], storey[near], (n_columns, n_storeys))
     centre[storeys < _LEAST_STOREYS] = np.nan
     opened = _open_storeys(plane, rays, start, (n_columns, n_storeys), low, centre)
@@ -151,9 +159,30 @@ def _mode(
     middle = (np.arange(n_layers) + 0.5) * _DEPTH_BIN - window
     best = np.argmax(votes, axis=1)
     # In an oblique view a column holds a surface on the plane and one far behind it; prefer the plane.
-    on_plane = np.where(np.abs(middle) < _LAYER, votes, 0.0)
+    on_plane = np.where(np.abs(middle) < _LAYER[0], votes, 0.0)
     is_hidden = (np.abs(middle[best]) > _FAR) & (on_plane.max(axis=1) > _SHARED * votes.max(axis=1))
     return np.asarray(middle[np.where(is_hidden, np.argmax(on_plane, axis=1), best)])
+
+
+def _shared_error(
+    column: Int[np.ndarray, "N"], storey: Int[np.ndarray, "N"], depth: Float[np.ndarray, "N"], shape: tuple[int, int]
+) -> Float[np.ndarray, "B"]:
+    """Return (B,) standard error of each column's mean that neighbours share, by the scatter of its height bands [m].
+
+    Neighbouring pixels of a depth camera err together; then many points are no better than a few.  Bands whose scatter
+    their own points explain add nothing.
+    """
+    cell = np.ravel_multi_index((column, storey), shape)
+    n = np.bincount(cell, minlength=shape[0] * shape[1]).reshape(shape)
+    at_least = np.maximum(n, 1)
+    mean = np.bincount(cell, depth, n.size).reshape(shape) / at_least
+    square = np.bincount(cell, depth**2, n.size).reshape(shape) / at_least - mean**2
+    full = n >= _FEWEST_IN_BAND
+    n_bands = np.maximum(full.sum(axis=1), 1)
+    middle = np.where(full, mean, 0.0).sum(axis=1) / n_bands
+    spread = np.where(full, (mean - middle[:, None]) ** 2, 0.0).sum(axis=1) / np.maximum(n_bands - 1, 1)
+    explained = np.where(full, np.maximum(square, 0.0) / np.maximum(n - 1, 1), 0.0).sum(axis=1) / n_bands
+    return np.asarray(np.sqrt(np.maximum(spread - explained, 0.0) / n_bands))
 
 
 def _drop_duplicates(column: Int[np.ndarray, "N"], storey: Int[np.ndarray, "N"], shape: tuple[int, int]) -> np.ndarray:
@@ -172,11 +201,11 @@ def _open_storeys(
 ) -> Int[np.ndarray, "B"]:
     """Return (B,) number of height bands in which rays went on behind the column's surface (or else the plane)."""
     at, end, heading = rays.crossing(plane)
-    cell = np.floor((at - [start, low]) / [BIN, _STOREY]).astype(int)
+    cell = np.floor((at - [start, low]) / [BIN, STOREY]).astype(int)
     inside = heading & ((cell >= 0) & (cell < shape)).all(axis=1)
     column, storey = cell[inside, 0], cell[inside, 1]
     level = np.nan_to_num(centre[column], nan=0.0)
-    through = end[inside] < np.minimum(level, 0.0) - _BEHIND - _LAYER
+    through = end[inside] < np.minimum(level, 0.0) - _BEHIND - _LAYER[0]
     return _drop_duplicates(column[through], storey[through], shape)
 
 

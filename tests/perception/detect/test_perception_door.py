@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from perception import Detection, View, detect, make_view, read_cloud
 from perception.detect.door.edges import side_edge, unevenness
 from perception.detect.door.handle import find_handle
-from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches
+from perception.detect.door.profile import BIN, Profile, Rays, straight_stretches, take_profile
 from perception.detect.door.upright import Upright, find_uprights
 from perception.simulate import DepthCamera, Mesh, Pose, Scanner, box, cylinder, scan
 from perception.simulate.scenes import make_scene
@@ -280,6 +281,44 @@ def test_a_profile_is_cut_where_its_depth_steps() -> None:
     assert [(one.first, one.last) for one in stretches] == [(0, 20), (20, 50), (50, 55), (55, 75)]
     assert np.isnan(stretches[2].slope)
     assert stretches[1].slope * 35 * BIN + stretches[1].intercept == pytest.approx(-0.03)
+
+
+def _wavy_wall(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and ends of the rays of a depth camera at a wall 1 m ahead: 2 cm of error that 5 cm about share."""
+    up, across = np.meshgrid(np.arange(0.2, 1.9, 0.005), np.arange(-0.6, 0.6, 0.005), indexing="ij")
+    error = gaussian_filter(np.random.default_rng(seed).normal(size=up.shape), 3.0)
+    ends = np.column_stack([1.0 + (0.02 * error / error.std()).ravel(), across.ravel(), up.ravel()])
+    return ends * [0.0, 1.0, 1.0], ends
+
+
+def test_a_flat_face_stays_one_stretch_where_neighbouring_pixels_err_together() -> None:
+    plane = Upright(np.array([-1.0, 0.0, 0.0]), -1.0)
+    starts, ends = _wavy_wall(0)
+    profile = take_profile(plane, ends, Rays(starts, ends), 0.25, 1.8)
+    mine = np.flatnonzero(profile.is_solid)[1:-1]
+    error = float(np.std(profile.depth[mine]))
+    assert 0.5 * error < float(np.median(profile.sigma[mine])) < 1.5 * error
+    assert sum(not np.isnan(one.slope) and one.last - one.first > 4 for one in straight_stretches(profile)) == 1
+    alone = ends + np.random.default_rng(1).normal(0.0, 0.02, len(ends))[:, None] * [1.0, 0.0, 0.0]
+    alone[:, 0] += 1.0 - ends[:, 0]
+    clean = take_profile(plane, alone, Rays(starts, alone), 0.25, 1.8)
+    assert float(np.median(clean.sigma[mine])) < 0.002
+
+
+def test_a_bulge_of_a_face_is_no_handle_but_a_bar_with_air_behind_it_is() -> None:
+    up, across = (grid.ravel() for grid in np.meshgrid(np.linspace(0.2, 1.9, 340), np.linspace(-0.5, 0.5, 200)))
+    plane = Upright(np.array([-1.0, 0.0, 0.0]), -1.0)
+    starts = np.column_stack([np.zeros_like(up), across, up])
+    aside = np.hypot((across - 0.36) / 2.0, up - 1.0)
+    bulge = 0.045 * np.exp(-0.5 * (aside / 0.02) ** 2)
+    bar = 0.055 * ((np.abs(across - 0.36) < 0.06) & (np.abs(up - 1.0) < 0.01))
+    none, lever = (
+        find_handle(plane, -0.5, 0.5, 0.012, 0.0, Rays(starts, np.column_stack([1.0 - out, across, up])))
+        for out in (bulge, bar)
+    )
+    assert none is None or none.quality < 0.1
+    assert lever is not None
+    assert lever.quality > 0.8
 
 
 def test_rays_cross_a_plane_where_the_straight_line_does() -> None:
