@@ -126,7 +126,8 @@ def _list_makers(
         level = tuple(group for group in company if group & named.sets_down)
         ups = {item: holding.items[item].body.start[2, :3] for item in named.sets_down if item in holding.held}
         make = partial(_make_move, robot, company, level, ups, step.move, name)
-        landing = _split_landing(step.move, named.lands) if named.lands in holding.held else None
+        put = [item for item in named.lands if item not in named.rests and item in holding.held]
+        landing = _split_landing(step.move, put[0]) if put else None
         if landing is not None:
             above, down = (partial(_make_move, robot, company, level, ups, own) for own in landing)
             return (
@@ -218,7 +219,7 @@ def _make_move(
     return replace(base, led=tuple(led))
 
 
-def _split_landing(move: MoveStep, item: str | None) -> tuple[MoveStep, MoveStep] | None:
+def _split_landing(move: MoveStep, item: str) -> tuple[MoveStep, MoveStep] | None:
     """Return a free motion of an object to where it is let go as one to above that place, and a line down from there.
 
     None for any other motion: a free one ends within its tolerance, at which nothing rests.
