@@ -393,22 +393,6 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Any:
         yield browser
 
 
-def test_the_page_draws_everything_and_talks_to_nobody(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
-    out, printed = written
-    address = out.with_suffix(".html").as_uri()
-    browser.open(address)
-    browser.settle()
-    counts = browser.run("window.__viewer.counts")
-    assert counts["pieces"] + counts["floor"] == printed["figures"]["pieces"]
-    assert counts["detections"] == printed["figures"]["detections"]
-    assert counts["points"] > 5_000
-    assert browser.complaints() == []
-    assert browser.requests() == [address]
-    text = browser.run("document.querySelector('.check').innerText")
-    assert "valve" in text
-    assert "residuals: " in text
-
-
 def test_the_page_tells_residuals_in_their_units_and_where_the_origin_is(browser: Browser, tmp_path: Path) -> None:
     write_npz(tmp_path / "a.npz", little_scan())
     seen = build_scene(SceneInput(CloudInput((tmp_path / "a.npz",)), unknown="occupied"), lambda _: None)
@@ -470,11 +454,27 @@ def test_a_click_on_a_hit_looks_at_it(browser: Browser, written: tuple[Path, dic
     assert np.linalg.norm(np.subtract(browser.run("window.__viewer.target"), place)) < 0.2  # it is in the middle
 
 
+def test_the_page_draws_everything_and_talks_to_nobody(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
+    out, printed = written
+    address = out.with_suffix(".html").as_uri()
+    browser.open(address)
+    browser.settle()
+    counts = browser.run("window.__viewer.counts")
+    assert counts["pieces"] + counts["floor"] == printed["figures"]["pieces"]
+    assert counts["detections"] == printed["figures"]["detections"]
+    assert counts["points"] > 5_000
+    assert browser.complaints() == []
+    assert browser.requests() == [address]
+    text = browser.run("document.querySelector('.check').innerText")
+    assert "valve" in text
+    assert "residuals: " in text
+
+
 def test_the_slice_moves_and_tells_free_occupied_and_unseen(
     browser: Browser, written: tuple[Path, dict[str, Any]]
 ) -> None:
     out, _ = written
-    browser.open(out.with_suffix(".html").as_uri() + "#theme=dark&layers=free&camera=top&slice=z:0.9")
+    browser.turn(out.with_suffix(".html").as_uri() + "#theme=dark&layers=free&camera=top&slice=z:0.9&cut=0")
     browser.settle()
     axis, at = browser.run("window.__viewer.slice")
     assert (axis, at) == (2, pytest.approx(0.9))
@@ -491,7 +491,7 @@ def test_the_slice_moves_and_tells_free_occupied_and_unseen(
 
 def test_what_is_above_the_slice_can_be_cut_off(browser: Browser, written: tuple[Path, dict[str, Any]]) -> None:
     out, printed = written
-    browser.open(out.with_suffix(".html").as_uri() + "#theme=dark&layers=points,pieces&camera=ahead&slice=z:0.6")
+    browser.turn(out.with_suffix(".html").as_uri() + "#theme=dark&layers=points,pieces&camera=ahead&slice=z:0.6&cut=0")
     browser.settle()
     whole = browser.picture().astype(int)
     browser.run("document.querySelector('.slice .layer input').click()")
@@ -508,7 +508,7 @@ def test_pieces_can_be_coloured_by_what_rays_say_of_them(
     browser: Browser, written: tuple[Path, dict[str, Any]]
 ) -> None:
     out, _ = written
-    browser.open(out.with_suffix(".html").as_uri() + "#theme=dark&layers=pieces")
+    browser.turn(out.with_suffix(".html").as_uri() + "#theme=dark&layers=pieces&cut=0")
     browser.settle()
     before = browser.picture().astype(int)
     browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'k' }))")

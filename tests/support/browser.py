@@ -64,6 +64,9 @@ class Browser:
         self._session = self._call("Target.attachToTarget", session=None, targetId=page, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
+        # A camera that glides is drawn many times on its way.
+        still = {"name": "prefers-reduced-motion", "value": "reduce"}
+        self.call("Emulation.setEmulatedMedia", features=[still])
 
     def _read(self, deadline: float) -> dict[str, Any]:
         while b"\0" not in self._buffer:
@@ -107,6 +110,23 @@ class Browser:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no viewer at {url}: {self.complaints()}")
             time.sleep(0.05)
+
+    def turn(self, url: str) -> None:
+        """Give the page that is open another hash, as a user does who edits its address; open and draw another page.
+
+        A page compiles its shaders whenever it is opened, which costs seconds.
+        """
+        page, _, fragment = url.partition("#")
+        if not self._is_drawn or self.run("location.href.split('#')[0]") != page:
+            self.open(url)
+        else:
+            # The page listens first, so that it has followed when this listener is called.
+            self.run(
+                "new Promise((done) => { addEventListener('hashchange', () => done(true), { once: true });"
+                f"if (location.hash === {json.dumps('#' + fragment)}) dispatchEvent(new HashChangeEvent('hashchange'));"
+                f"else location.hash = {json.dumps(fragment)}; }})"
+            )
+        self.settle()
 
     def _set_drawn(self, is_drawn: bool) -> None:
         """Let the pages that are opened from now on draw their scene, or leave it out."""

@@ -173,23 +173,12 @@ def test_the_page_draws_loads_regions_forces_and_cones_without_complaint(browser
     assert browser.complaints() == []
 
 
-@pytest.mark.parametrize("time", [3.5, 5.0])
-def test_the_bar_rides_on_the_leaf(browser: Browser, page: str, time: float) -> None:
-    browser.open(page + f"#t={time}&camera=top", is_drawn=False)
-    placed = place_movables(door(N), N)
-    for column, link in enumerate(placed.links):
-        expected = browser.run(f"window.__viewer.project({placed.poses[int(10 * time), column, :3].tolist()})")
-        np.testing.assert_allclose(browser.run(f"window.__viewer.project('{link}')"), expected, atol=0.5)
-    assert f"door/leaf {np.degrees(time / 6.0):.0f}°" in labels(browser)
-    assert f"door/bar {30.0 * time / 6.0:.0f} mm" in labels(browser)
-
-
 def test_a_load_is_drawn_while_its_phase_lasts_and_says_its_newtons(browser: Browser, page: str) -> None:
     cyan = (8, 145, 178)
-    browser.open(page + "#t=1&theme=light&layers=loads")
+    browser.turn(page + "#t=1&theme=light&layers=loads")
     assert count(browser, cyan) == 0
     assert not any("N on" in text for text in labels(browser))
-    browser.open(page + "#t=4&theme=light&layers=loads")
+    browser.turn(page + "#t=4&theme=light&layers=loads")
     assert "up to 40 N on door/leaf" in labels(browser)
     assert legends(browser) == ["largest force of a hand on what it moves; 10 cm: 20 N"]
     browser.run("document.body.classList.add('unlabelled')")
@@ -207,7 +196,7 @@ def test_a_load_is_drawn_while_its_phase_lasts_and_says_its_newtons(browser: Bro
 
 
 def test_cones_are_off_until_switched_on(browser: Browser, page: str) -> None:
-    browser.open(page + "#t=4&theme=light&camera=hand")
+    browser.turn(page + "#t=4&theme=light&camera=hand&without=cones")
     browser.settle()
     assert not any("friction" in text for text in legends(browser))
     before = browser.picture().astype(int)
@@ -219,18 +208,29 @@ def test_cones_are_off_until_switched_on(browser: Browser, page: str) -> None:
 
 def test_region_and_contact_forces_are_drawn_and_told_what_they_are(browser: Browser, page: str) -> None:
     green, violet = (77, 124, 15), (124, 58, 237)
-    browser.open(page + "#t=4.5&theme=light&layers=regions&camera=top")
+    browser.turn(page + "#t=4.5&theme=light&layers=regions&camera=top")
     assert count(browser, green, 30) > 40
     assert legends(browser) == ["static region: contact forces hold the robot with its centre of mass above it"]
-    browser.open(page + "#t=4.5&theme=light&bars=0&layers=forces&camera=side")
+    browser.turn(page + "#t=4.5&theme=light&bars=0&layers=forces&camera=side")
     assert count(browser, violet, 30) > 40
     (text,) = legends(browser)
     assert text.startswith(
         "contact forces that hold the robot at rest here under the largest loads; others may too; 10 cm: "
     )
-    browser.open(page + "#t=1&theme=light&bars=0&layers=forces,regions")
+    browser.turn(page + "#t=1&theme=light&bars=0&layers=forces,regions")
     assert count(browser, green, 30) == count(browser, violet, 30) == 0
     assert legends(browser) == []
+
+
+@pytest.mark.parametrize("time", [3.5, 5.0])
+def test_the_bar_rides_on_the_leaf(browser: Browser, page: str, time: float) -> None:
+    browser.open(page + f"#t={time}&camera=top", is_drawn=False)
+    placed = place_movables(door(N), N)
+    for column, link in enumerate(placed.links):
+        expected = browser.run(f"window.__viewer.project({placed.poses[int(10 * time), column, :3].tolist()})")
+        np.testing.assert_allclose(browser.run(f"window.__viewer.project('{link}')"), expected, atol=0.5)
+    assert f"door/leaf {np.degrees(time / 6.0):.0f}°" in labels(browser)
+    assert f"door/bar {30.0 * time / 6.0:.0f} mm" in labels(browser)
 
 
 def test_the_joints_of_what_is_moved_are_curves_under_the_time_bar(browser: Browser, page: str) -> None:

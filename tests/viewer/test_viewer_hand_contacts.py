@@ -132,13 +132,12 @@ def test_a_push_that_holds_is_green_while_its_phase_lasts_and_z_hides_it(browser
     browser.open(page + "1&bars=0")
     assert legends(browser) == []
     assert count(browser, GREEN) == 0
-    browser.open(page + "4", is_drawn=False)
+    browser.turn(page + "4&bars=0")
     assert legends(browser) == [
         "the rod on rim/0: friction 0.3 (cone) to 0.6 (outline), normal 20° off the way of joint valve_turn (arrow)"
     ]
     rows = browser.run("[...document.querySelectorAll('.now dd')].map((e) => e.textContent)")
     assert "the rod on rim/0 moves valve_turn, friction 0.3 to 0.6" in rows
-    browser.open(page + "4&bars=0")
     assert count(browser, GREEN) > 60
     browser.key("z")
     assert count(browser, GREEN) == 0
@@ -150,10 +149,9 @@ def test_a_push_that_holds_is_green_while_its_phase_lasts_and_z_hides_it(browser
 def test_a_push_that_fails_or_is_not_proven_says_so(
     browser: Browser, tmp_path: Path, ok: bool, basis: str, ending: str
 ) -> None:
-    browser.open(write_page(tmp_path, ok, basis) + "4", is_drawn=False)
+    browser.open(write_page(tmp_path, ok, basis) + "4&bars=0")
     (text,) = legends(browser)
     assert text.endswith(f"(arrow){ending}")
-    browser.open(write_page(tmp_path, ok, basis) + "4&bars=0")
     assert (count(browser, RED) > 60) == (not ok)
     assert count(browser, GREEN) == 0
 
