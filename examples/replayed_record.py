@@ -184,7 +184,7 @@ def _promises(phase: dict[str, Any], s: list[float]) -> Iterator[str | Array]:
     for one in phase["loads"]:
         slide = none if one["slide"] is None else np.array(one["slide"])
         yield from ("load", one["tool"], one["link"], np.array(one["place"]), np.array(one["force_n"]), slide)
-        yield np.array(one["drift_m"])
+        yield from (np.array(one.get(key, 0.0)) for key in ("drift_m", "across_n", "twist_nm"))
     for one in phase["pushes"]:
         yield from _push(one)
     for one in phase.get("carriers", ()):

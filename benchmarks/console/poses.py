@@ -119,7 +119,10 @@ def is_certified(world: PoseWorld, numbers: PoseNumbers) -> bool:
     q = read_pose(robot, numbers)
     feet = [contact.link for contact in body.planted]
     stance = Stance.of(robot, body.nominal, feet, body.aims.balance_margin, robot.can_balance)
-    support, touching = stance.support("pose", body.nominal), make_standing_allowances(stance.contacts, body.scene)
+    support, touching = (
+        stance.support("pose", body.nominal),
+        make_standing_allowances(body.robot, stance.contacts, body.scene),
+    )
     phase = Phase("pose", 0.0, 1.0, contacts=stance.contacts, support=support, allowances=touching)
     curve = Curve(np.array([0.0, 1.0]), np.stack([q, q]), np.zeros((2, len(q))))
     law = TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.ones(2))

@@ -61,7 +61,10 @@ def _certify(world: PoseWorld, numbers: PoseNumbers) -> Status:
     robot, scene = world.robot, world.body.scene
     q = read_pose(robot, numbers)
     stance = Stance.of(robot, world.body.nominal, FEET, world.body.aims.balance_margin, is_balanced=True)
-    support, touching = stance.support("pose", world.body.nominal), make_standing_allowances(stance.contacts, scene)
+    support, touching = (
+        stance.support("pose", world.body.nominal),
+        make_standing_allowances(robot, stance.contacts, scene),
+    )
     phase = Phase("pose", 0.0, 1.0, contacts=stance.contacts, support=support, allowances=touching)
     curve = Curve(np.array([0.0, 1.0]), np.stack([q, q]), np.zeros((2, len(q))))
     law = TimeLaw(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.ones(2))

@@ -156,7 +156,11 @@ def test_check_proposes_an_srdf_for_links_that_overlap_at_rest(tmp_path: Path) -
     model = load_requested_robot(parse_request(data, folder=tmp_path))
     assert model.ignored_reasons["lf", "rf"] == "srdf (Default)"
     assert not check_robot(model).overlapping
-    # What is left out although it overlaps is never certified.
+    # What is left out although it overlaps is certified as it is at the start alone.
+    still = plan(parse_request(data, folder=tmp_path))
+    assert still.certificate is not None
+    assert [own.reason for own in still.certificate.coverage.left_out if own.pair == ("lf", "rf")] == ["kept"]
+    data["goal"] = {"joints": {"turn": 0.5, "left": 0.002}}
     assert plan(parse_request(data, folder=tmp_path)).verdict.value == "FEASIBLE_AT_SAMPLES"
 
 
