@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 from lxml import etree
-from scipy.spatial import ConvexHull
 
 from costs.names import would_do
 from costs.primitive import make_round_shape
@@ -117,6 +116,8 @@ def _keep_parts(item: AttachedBody) -> list[str]:
     """
     where = f"attached body '{item.name}'"
     corners = [find_hull_vertices(np.asarray(part), where) for part in item.parts]
+    from scipy.spatial import ConvexHull  # slow to import
+
     return [keep_triangles(points[ConvexHull(points).simplices]) for points in corners]
 
 

@@ -27,7 +27,7 @@ from service.request.file import replace_clouds
 from service.request.scene import MeshRequest
 from service.request.schema import PlanRequest
 from service.request.tasks.registry import ADDED
-from service.scan.carried_meshes import inline_carried
+from service.setup.carried_meshes import inline_carried
 from service.setup.given_objects import check_given_objects
 from service.setup.prepare import PlanSetup
 from service.setup.world import Surroundings, build_obstacles, read_surroundings

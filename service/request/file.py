@@ -14,7 +14,7 @@ from service.errors import RequestError, shown
 from service.request.attached import AttachedMesh
 from service.request.formats import FORMAT
 from service.request.plain_file import adapter_of, load_section, parse_section, read_text, read_yaml
-from service.request.scene import CarriedMesh, MeshRequest, MovableMesh
+from service.request.scene import CarriedMesh, MeshRequest, MovableMesh, SceneRequest
 from service.request.schema import PlanRequest
 from service.request.task_files.expand import use_task
 from service.request.versions import find_first_format, write_as
@@ -115,10 +115,25 @@ def replace_clouds(request: PlanRequest, clouds: Sequence[Path]) -> PlanRequest:
 
 def list_mesh_files(request: PlanRequest) -> Iterator[tuple[str, str]]:
     """Yield field and file of each mesh that is to be read: of obstacles, movable objects and carried bodies."""
-    for field, items in _list_shapes(request).items():
-        for index, item in enumerate(items):
-            if _is_read(item):
-                yield f"{field}[{index}].file", item.file
+    yield from list_scene_meshes(request.scene)
+    yield from list_attached_meshes(request)
+
+
+def list_attached_meshes(request: PlanRequest) -> Iterator[tuple[str, str]]:
+    """Yield the same of carried bodies alone."""
+    yield from _list_files("attached", request.attached)
+
+
+def list_scene_meshes(scene: SceneRequest) -> Iterator[tuple[str, str]]:
+    """Yield the same of a scene alone."""
+    yield from _list_files("scene.obstacles", scene.obstacles)
+    yield from _list_files("scene.objects", scene.objects)
+
+
+def _list_files(field: str, items: Sequence[Any]) -> Iterator[tuple[str, str]]:
+    for index, item in enumerate(items):
+        if _is_read(item):
+            yield f"{field}[{index}].file", item.file
 
 
 def replace_mesh_files(request: PlanRequest, rename: Callable[[str], str]) -> PlanRequest:
@@ -127,15 +142,9 @@ def replace_mesh_files(request: PlanRequest, rename: Callable[[str], str]) -> Pl
         return request
     obstacles, objects, attached = (
         tuple(dataclasses.replace(item, file=rename(item.file)) if _is_read(item) else item for item in items)
-        for items in _list_shapes(request).values()
+        for items in (request.scene.obstacles, request.scene.objects, request.attached)
     )
     return dataclasses.replace(_with_scene(request, obstacles=obstacles, objects=objects), attached=attached)
-
-
-def _list_shapes(request: PlanRequest) -> dict[str, tuple[Any, ...]]:
-    """Return the shapes that may be meshes by the field that lists them."""
-    scene = request.scene
-    return {"scene.obstacles": scene.obstacles, "scene.objects": scene.objects, "attached": request.attached}
 
 
 def _is_read(item: object) -> bool:

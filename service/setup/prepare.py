@@ -23,7 +23,7 @@ from service.demands.kind import ResolvedStart, find_demand_part
 from service.errors import RequestError
 from service.request.names import TakenNames, check_names
 from service.request.schema import PlanRequest
-from service.scan.carried_meshes import inline_carried
+from service.setup.carried_meshes import inline_carried
 from service.setup.checks import StartCheck, check_names_and_values, check_start, find_soles
 from service.setup.given_objects import check_given_objects
 from service.setup.rates import check_rates

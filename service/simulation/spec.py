@@ -339,8 +339,7 @@ class SpecBuilder:
             return
         if is_moved:
             assumed = assume_inertia([b.vertices for b in self.robot.bodies if b.joint == joint])
-            body.mass, body.ipos = max(assumed.mass, LEAST_MASS), assumed.centre
-            body.inertia = np.maximum(np.diag(assumed.moments), LEAST_INERTIA)
+            _set_inertia(body, assumed.mass, assumed.centre, assumed.moments)
             body.gravcomp = 1.0  # the request's loads are all that a mechanism opposes
             return
         inertia = self.robot.model.inertias[joint]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from service.errors import shown
-from service.request.file import list_mesh_files
+from service.request.file import list_attached_meshes, list_scene_meshes
 from service.request.scene import SceneRequest
 from service.request.schema import PlanRequest, RobotRequest
 from service.trust.errors import TrustError
@@ -100,7 +100,7 @@ def list_paths(request: PlanRequest) -> Iterator[tuple[str, str, Kind]]:
     """Yield field, path and kind of every file that a request names."""
     yield from _robot_paths(request.robot)
     yield from _scene_paths(request.scene)
-    for field, path in list_mesh_files(request):
+    for field, path in list_attached_meshes(request):
         yield field, path, "mesh"
     for name, path in request.section.list_paths():
         yield f"{request.kind.field}.{name}", path, "file"
@@ -119,3 +119,5 @@ def _scene_paths(scene: SceneRequest) -> Iterator[tuple[str, str, Kind]]:
         yield "scene.file", scene.file, "scene"
     for index, cloud in enumerate(scene.cloud_files):
         yield ("scene.cloud" if isinstance(scene.cloud, str) else f"scene.cloud[{index}].file"), cloud.file, "cloud"
+    for field, path in list_scene_meshes(scene):
+        yield field, path, "mesh"

@@ -15,7 +15,7 @@ from service.errors import RequestError
 from service.planner import plan
 from service.replay.replay import verify_result
 from service.request.file import list_mesh_files, parse_request, replace_mesh_files, to_json
-from service.scan.carried_meshes import inline_carried
+from service.setup.carried_meshes import inline_carried
 from service.setup.prepare import prepare
 from service.wire.requests import request_from_message, request_to_message
 

@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 from jaxtyping import Float
 from lxml import etree
-from scipy.spatial import ConvexHull
 
 from costs.robot.errors import RobotError
 from costs.robot.poses import parse_origin
@@ -75,6 +74,8 @@ class LinkInertia:
 
 def spread_mass(parts: Sequence[Float[np.ndarray, "V 3"]], mass: float) -> LinkInertia:
     """Return the inertia of hulls of one even density: the sum of the tetrahedra over their triangles."""
+    from scipy.spatial import ConvexHull  # slow to import
+
     tetrahedra, insides = [], []
     for vertices in parts:
         inside = vertices.mean(axis=0)

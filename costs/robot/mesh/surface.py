@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 from lxml import etree
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull
 
 from costs.robot.elements.shapes import Shape, parse_shape
 from costs.robot.errors import RobotError
@@ -134,6 +133,8 @@ def _read_part(
     robot: RobotModel, link: str, body: LinkBody, shape: Shape | None
 ) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
     if shape is None or shape.kind != "mesh":
+        from scipy.spatial import ConvexHull  # slow to import
+
         return body.vertices, ConvexHull(body.vertices).simplices.astype(int)
     mesh = read_mesh(resolve_mesh(shape.uri, robot.source.roots, link)[1], link)
     pose = find_body_frame(robot.model, link).placement.homogeneous @ shape.pose_link_shape

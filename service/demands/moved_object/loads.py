@@ -301,10 +301,11 @@ def choose_pace(
         own = [(first, last) for first, last in moves if last[index] != first[index]]
         lags = (LAG_SHARE * float(abs(last[index] - first[index])) / DAMPING_S**2 for first, last in own)
         joint = replace(joint, acceleration=min([joint.acceleration, *lags]))
-        if not own or not (heavy.has_masses or joint.damping):
+        gentle = min((_find_gentle(moved, heavy, index, *move) for move in own), default=np.inf)
+        if not own or not (moved.has_masses or joint.damping or np.isfinite(gentle)):
             yield joint
             continue
-        acceleration = min([joint.acceleration, *(_find_gentle(moved, heavy, index, *move) for move in own)])
+        acceleration = min(joint.acceleration, gentle)
         travel = sum(float(abs(last[index] - first[index])) for first, last in own)
         yield replace(
             joint, acceleration=acceleration, velocity=min(joint.velocity, float(np.sqrt(acceleration * travel)))
@@ -323,6 +324,8 @@ def _find_gentle(
     low, high = (terms.still[:, index] + np.sign(travel) * moved.joints[index].friction).tolist()
     sizes = float(abs(low)), float(abs(high))
     opposed = min(sizes) if low * high > 0.0 else max(sizes)
+    if not opposed and not moved.has_masses:
+        return np.inf  # what nobody opposes, and nobody has weighed
     return max(INERTIA_SHARE * opposed / inertia, 4.0 * abs(travel) / SLOWEST_S**2)
 
 
