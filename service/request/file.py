@@ -140,11 +140,14 @@ def replace_mesh_files(request: PlanRequest, rename: Callable[[str], str]) -> Pl
     """Return the request with other names of the files that ``list_mesh_files`` lists."""
     if not any(True for _ in list_mesh_files(request)):
         return request
-    obstacles, objects, attached = (
-        tuple(dataclasses.replace(item, file=rename(item.file)) if _is_read(item) else item for item in items)
-        for items in (request.scene.obstacles, request.scene.objects, request.attached)
-    )
+    scene = request.scene
+    obstacles, objects = _rename_files(scene.obstacles, rename), _rename_files(scene.objects, rename)
+    attached = _rename_files(request.attached, rename)
     return dataclasses.replace(_with_scene(request, obstacles=obstacles, objects=objects), attached=attached)
+
+
+def _rename_files(items: Sequence[Any], rename: Callable[[str], str]) -> tuple[Any, ...]:
+    return tuple(dataclasses.replace(item, file=rename(item.file)) if _is_read(item) else item for item in items)
 
 
 def _is_read(item: object) -> bool:
