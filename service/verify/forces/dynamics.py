@@ -128,7 +128,7 @@ class InverseDynamics:
 
 
 @dataclass(frozen=True)
-class _Known:
+class _Dynamics:
     """States of inverse dynamics, and the result; the model is kept, so that no other has its identity."""
 
     model: pin.Model
@@ -141,9 +141,9 @@ class _Latest(threading.local):
     """The latest inverse dynamics of a thread: as many as have ``_MOST_KEPT`` samples."""
 
     def __init__(self) -> None:
-        self.known: list[_Known] = []
+        self.known: list[_Dynamics] = []
 
-    def add(self, known: _Known) -> None:
+    def add(self, known: _Dynamics) -> None:
         """Keep one more, and drop the oldest where there are too many samples."""
         self.known.insert(0, known)
         counts = np.cumsum([len(each.inverse.torque) for each in self.known])
@@ -184,7 +184,7 @@ def compute_inverse_dynamics(
         array.flags.writeable = False
     inverse = InverseDynamics(torque, wrench, jacobians)
     if len(q):
-        _LATEST.add(_Known(model, choice, (q.copy(), v.copy(), a.copy()), inverse))
+        _LATEST.add(_Dynamics(model, choice, (q.copy(), v.copy(), a.copy()), inverse))
     return inverse
 
 
