@@ -226,8 +226,7 @@ def list_load_cases(
             raise VerifyError(f"unknown frame '{name}' of a load")
     tools, links = [model.getFrameId(load.tool) for load in loads], [model.getFrameId(load.link) for load in loads]
     joints = [int(model.frames[tool].parentJoint) for tool in tools]
-    parts = [list_parts(load) for load in loads]
-    exerted = [np.zeros((len(own), len(q), 6)) for own in parts]
+    turns, points = np.zeros((len(loads), len(q), 3, 3)), np.zeros((len(loads), len(q), 3))
     for k, row in enumerate(q):
         pin.forwardKinematics(model, data, row)
         for index, load in enumerate(loads):
@@ -238,15 +237,23 @@ def list_load_cases(
             elif load.slide is not None:
                 tool = pin.updateFramePlacement(model, data, tools[index]).translation
                 place = _slide_to(load, pose.rotation.T @ (tool - pose.translation))
-            force, moment = (-own @ pose.rotation.T for own in (parts[index][:, :3], parts[index][:, 3:]))
-            point = pose.rotation @ place + pose.translation
-            exerted[index][:, k] = np.concatenate([force, np.cross(point, force) + moment], axis=1)
+            turns[index, k] = pose.rotation
+            points[index, k] = turns[index, k] @ place + pose.translation
+    exerted = [_place_parts(list_parts(load), *placed) for load, *placed in zip(loads, turns, points, strict=True)]
     cases = []
     for choice in product(*((None, *own) for own in exerted)):
         acting = tuple((joint, wrench) for joint, wrench in zip(joints, choice, strict=True) if wrench is not None)
         total = np.sum([wrench for _, wrench in acting], axis=0) if acting else np.zeros((len(q), 6))
         cases.append(LoadCase(total, acting))
     return tuple(cases)
+
+
+def _place_parts(
+    parts: Float[np.ndarray, "K 6"], turn: Float[np.ndarray, "S 3 3"], point: Float[np.ndarray, "S 3"]
+) -> Float[np.ndarray, "K S 6"]:
+    """Return what the robot bears of a load's corners, whose link is turned and that act at a point of the world."""
+    forces, moments = (-np.einsum("sij,kj->ksi", turn, own) for own in (parts[:, :3], parts[:, 3:]))
+    return np.concatenate([forces, np.cross(point[None], forces) + moments], axis=2)
 
 
 def _bring_near(load: HandLoad, tool: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
