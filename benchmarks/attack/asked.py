@@ -68,6 +68,8 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     **{f"{base}: robot.hands.right.peg_radius_m": "a hand without a peg" for base in GANTRIES},
     "lever: task.valve.spoke_width_m": "of wheels",
     "paths: task.steps.*.follow.tilt_towards": "of a path without tilt, or along the normal",
+    "stair: task.contacts.stances.*.make.left_foot.slack_m larger": "leaves more room for the foot's place",
+    "egress: robot.contacts.left_forearm": "of a contact that comes after the first foot is out",
     "walk: task.steps.*.walk.stride_m smaller": "the same number of strides",
     "door: task.door.press_m": "of push bars; this door has a lever",
     "door: task.door.push_bar_n": "the same",
