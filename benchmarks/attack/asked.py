@@ -70,7 +70,7 @@ LESS = {  # a change of a kind of field, after a base where it is of that base a
     "paths: task.steps.*.follow.tilt_towards": "of a path without tilt, or along the normal",
     "stair: task.contacts.stances.*.make.left_foot.slack_m larger": "leaves more room for the foot's place",
     "egress: robot.contacts.left_forearm": "of a contact that comes after the first foot is out",
-    "pushes: task.steps.*.mechanism.handle.place.0": "along the contact's normal, on which the hand is brought to the leaf",
+    "pushes: task.steps.*.mechanism.handle.place.0": "along the normal on which the hand is brought to the leaf",
     "walk: task.steps.*.walk.stride_m smaller": "the same number of strides",
     "door: task.door.press_m": "of push bars; this door has a lever",
     "door: task.door.push_bar_n": "the same",
