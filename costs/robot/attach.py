@@ -114,10 +114,10 @@ def _keep_parts(item: AttachedBody) -> list[str]:
     Raises:
         RobotError: a part is flat, or the folder of kept files cannot be written.
     """
-    where = f"attached body '{item.name}'"
-    corners = [find_hull_vertices(np.asarray(part), where) for part in item.parts]
     from scipy.spatial import ConvexHull  # slow to import
 
+    where = f"attached body '{item.name}'"
+    corners = [find_hull_vertices(np.asarray(part), where) for part in item.parts]
     return [keep_triangles(points[ConvexHull(points).simplices]) for points in corners]
 
 

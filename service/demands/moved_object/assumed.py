@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from costs.robot.elements.inertia import LinkInertia, spread_mass
+from costs.robot import LinkInertia, spread_mass
 from service.demands.resistance import ASSUMED_DENSITY
 
 
